@@ -1,0 +1,486 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The experiment's plan and its goal's life: a grid of pushes, one after the other.
+
+Nothing here touches ROS, a clock or a file: the node asks which step is due, carries it out, and
+tells how it ended. The rules on failure stand in `Experiment`.
+
+References
+----------
+.. [1] ROS 2 design, "Actions", https://design.ros2.org/articles/actions.html (goal states).
+
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import auto, Enum, IntEnum
+import itertools
+import math
+from typing import Final
+
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.units import MM
+
+
+class GoalStatus(IntEnum):
+    """States of a goal, with the codes of ``action_msgs/msg/GoalStatus``."""
+
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the goal has ended."""
+        return self in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED)
+
+
+class Step(Enum):
+    """
+    What the experiment is doing; the order of a trial is the order of the names.
+
+    `STOP` is gone through only after a cancel or a failure in mid-push, `END` is the last.
+    """
+
+    SAMPLE = auto()
+    PLAN = auto()
+    TARE = auto()
+    CONFIGURE = auto()
+    ENABLE = auto()
+    RECORD = auto()
+    START = auto()
+    PUSH = auto()
+    STOP = auto()
+    FINISH = auto()
+    REST = auto()
+    DISABLE = auto()
+    END = auto()
+
+
+class Outcome(Enum):
+    """How a trial ended."""
+
+    COMPLETE = 'complete'
+    INCOMPLETE = 'incomplete'
+    ABORTED = 'aborted'
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTrial:
+    """
+    One push of the grid.
+
+    Parameters
+    ----------
+    number : int
+        Place in the experiment, from 1.
+    push_speed : float
+        Commanded speed along the push [m/s].
+    depth : float
+        How far the tool goes in after it has touched [m].
+    repeat : int
+        Which repeat of this speed and depth, from 1.
+
+    """
+
+    number: int
+    push_speed: float
+    depth: float
+    repeat: int
+
+    @property
+    def name(self) -> str:
+        """The name of the trial's bag, such as ``trial_003_5.0mm_s_10mm_r1``."""
+        speed = f'{self.push_speed / MM:.6g}'
+        if '.' not in speed and 'e' not in speed:
+            speed += '.0'
+        return f'trial_{self.number:03d}_{speed}mm_s_{self.depth / MM:.6g}mm_r{self.repeat}'
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOutcome:
+    """
+    How one trial ended.
+
+    Parameters
+    ----------
+    trial : PlannedTrial
+        Which one.
+    outcome : Outcome
+        How it ended.
+    bag : str or None
+        Where it was recorded; None if the recording never began.
+    reason : str
+        Why it is not complete; empty if it is.
+
+    """
+
+    trial: PlannedTrial
+    outcome: Outcome
+    bag: str | None
+    reason: str = ''
+
+
+def _positive(name: str, values: Iterable[float]) -> tuple[float, ...]:
+    """Return the values if there are some and all are finite and above zero."""
+    checked = tuple(float(value) for value in values)
+    if not checked:
+        raise UsageError(f'the experiment has no {name}: give at least one.')
+    for value in checked:
+        if not (math.isfinite(value) and value > 0.0):
+            raise UsageError(f'{name} has {value:g}: give finite numbers above zero, in SI units.')
+    if len(set(checked)) != len(checked):
+        raise UsageError(f'{name} names a value twice: use repeats to push again.')
+    return checked
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentGoal:
+    """
+    What a client asks for: every speed at every depth, so many times.
+
+    Parameters
+    ----------
+    push_speeds : tuple of float
+        Speeds along the push [m/s].
+    depths : tuple of float
+        Depths after touch [m].
+    repeats : int
+        How often each pair is pushed.
+    hold_time, recover_time : float
+        How long the tool holds its depth, and how long the object is watched afterwards [s].
+    rest_time : float
+        Pause between two trials [s], in which a new sample is put in place.
+
+    Raises
+    ------
+    UsageError
+        If a list is empty, or a number is not finite, not above zero or named twice.
+
+    """
+
+    push_speeds: tuple[float, ...]
+    depths: tuple[float, ...]
+    repeats: int
+    hold_time: float
+    recover_time: float
+    rest_time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'push_speeds', _positive('speeds', self.push_speeds))
+        object.__setattr__(self, 'depths', _positive('depths', self.depths))
+        if self.repeats < 1:
+            raise UsageError(f'repeats is {self.repeats}: give 1 or more.')
+        _positive('hold_time', [self.hold_time])
+        _positive('recover_time', [self.recover_time])
+        if not (math.isfinite(self.rest_time) and self.rest_time >= 0.0):
+            raise UsageError(f'rest_time is {self.rest_time:g}: give a finite number, 0 or more.')
+
+    def trials(self) -> tuple[PlannedTrial, ...]:
+        """
+        Return the pushes in the order in which they are made.
+
+        The whole grid is gone through before it is repeated, so that a slow drift of the material
+        or of the cell shows as a difference between repeats, not between speeds or depths.
+
+        Returns
+        -------
+        tuple of PlannedTrial
+            ``len(push_speeds) * len(depths) * repeats`` pushes.
+
+        """
+        grid = itertools.product(range(1, self.repeats + 1), self.push_speeds, self.depths)
+        return tuple(
+            PlannedTrial(number, speed, depth, repeat)
+            for number, (repeat, speed, depth) in enumerate(grid, start=1)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Deadlines:
+    """
+    How long the experiment waits before it takes a peer for dead.
+
+    Parameters
+    ----------
+    service : float
+        For the answer of a service [s].
+    approach : float
+        For the touch of the object after the push has been started [s].
+    margin : float
+        Added to the time that a push must take [s].
+
+    """
+
+    service: float
+    approach: float
+    margin: float
+
+    def of(self, step: Step, goal: ExperimentGoal, trial: PlannedTrial) -> float:
+        """Return how long `step` may take [s]."""
+        if step is Step.REST:
+            return math.inf
+        if step is Step.PUSH:
+            moving = trial.depth / trial.push_speed
+            return self.approach + moving + goal.hold_time + goal.recover_time + self.margin
+        return self.service
+
+
+_NEXT: Final = {
+    Step.SAMPLE: Step.PLAN,
+    Step.PLAN: Step.TARE,
+    Step.TARE: Step.CONFIGURE,
+    Step.CONFIGURE: Step.ENABLE,
+    Step.ENABLE: Step.RECORD,
+    Step.RECORD: Step.START,
+    Step.START: Step.PUSH,
+    Step.PUSH: Step.FINISH,
+    Step.STOP: Step.FINISH,
+}
+_RECORDING: Final = (Step.RECORD, Step.START, Step.PUSH)
+
+
+class Experiment:
+    """
+    The life of one goal, as a state machine.
+
+    The owner carries out `step`, then calls `done` or `failed`; it tells the arm's phases by
+    `phase` and lets time pass by `tick`. Each of them may change `step`, and `entered` tells
+    since when it stands.
+
+    A push that the arm itself has aborted (a force limit, no contact) is kept, marked, and the
+    next trial goes on, since the cell still works; so is a bag that lacks a stream. When
+    `max_failures` trials in a row went that way the experiment is aborted. A peer that does not
+    answer or falls silent, and a disk that cannot be written, abort the experiment at once: they
+    do not heal by themselves. Whatever was recorded until then is kept.
+
+    Parameters
+    ----------
+    goal : ExperimentGoal
+        What to do.
+    deadlines : Deadlines
+        How long to wait.
+    max_failures : int
+        How many trials in a row may fail before the experiment is aborted.
+    now : float
+        Time of acceptance [s], of a monotonic clock.
+
+    """
+
+    def __init__(
+        self, goal: ExperimentGoal, deadlines: Deadlines, max_failures: int, now: float
+    ) -> None:
+        self.goal = goal
+        self.trials = goal.trials()
+        self.status = GoalStatus.ACCEPTED
+        self.outcomes: list[TrialOutcome] = []
+        self.reason = ''
+        self.arm_phase: str | None = None
+        self._deadlines = deadlines
+        self._max_failures = max_failures
+        self._index = 0
+        self._trial_reason = ''
+        self._trial_failed = False
+        self._step = Step.SAMPLE
+        self.entered = now
+
+    @property
+    def step(self) -> Step:
+        """What is to be done now."""
+        return self._step
+
+    @property
+    def trial(self) -> PlannedTrial:
+        """The trial at hand; the last one when all are over."""
+        return self.trials[self._index]
+
+    @property
+    def failing(self) -> bool:
+        """Whether the trial at hand is already known to be of no use."""
+        return self._trial_failed
+
+    def begin(self, now: float) -> None:
+        """Start to execute the accepted goal."""
+        if self.status is GoalStatus.ACCEPTED:
+            self.status = GoalStatus.EXECUTING
+            self._enter(Step.SAMPLE, now)
+
+    def time_left(self, now: float) -> float:
+        """
+        Return the least time that the experiment still needs [s].
+
+        Approach and retraction are not known beforehand and are left out.
+        """
+        goal = self.goal
+        if self.status.terminal:
+            return 0.0
+
+        def pushing(trial: PlannedTrial) -> float:
+            return trial.depth / trial.push_speed + goal.hold_time + goal.recover_time
+
+        left = sum(goal.rest_time + pushing(trial) for trial in self.trials[self._index + 1 :])
+        if self._step in (Step.STOP, Step.FINISH, Step.DISABLE, Step.END):
+            return left
+        if self._step is Step.REST:
+            return max(0.0, left - (now - self.entered))
+        spent = now - self.entered if self._step is Step.PUSH else 0.0
+        return left + max(0.0, pushing(self.trial) - spent)
+
+    def done(self, now: float) -> None:
+        """Take note that the present step (but `PUSH` and `FINISH`) has been carried out."""
+        if self._step is Step.DISABLE:
+            self._end(now)
+        elif self._step is Step.REST:
+            self._index += 1
+            self._enter(Step.SAMPLE, now)
+        else:
+            self._enter(_NEXT[self._step], now)
+
+    def failed(self, reason: str, now: float) -> None:
+        """
+        Take note that the present step cannot be carried out: the experiment is aborted.
+
+        Parameters
+        ----------
+        reason : str
+            One sentence.
+        now : float
+            Time [s].
+
+        """
+        self.reason = self.reason or reason
+        if self._step in _RECORDING:
+            self._fail_trial(reason)
+            self._enter(Step.STOP, now)
+        elif self._step is Step.STOP:
+            self._enter(Step.FINISH, now)
+        elif self._step is Step.DISABLE:
+            self._end(now)
+        else:
+            self._enter(Step.DISABLE, now)
+
+    def phase(self, name: str, now: float) -> None:
+        """Take note of the arm's phase; only of use once the push has been started."""
+        self.arm_phase = name
+        if self._step not in (Step.START, Step.PUSH, Step.STOP):
+            return
+        if name == 'aborted':
+            self._fail_trial('the arm aborted the push')
+        if name in ('done', 'aborted') and self._step in (Step.PUSH, Step.STOP):
+            self._enter(Step.FINISH, now)
+
+    def started(self, now: float) -> None:
+        """Take note that the arm has accepted the push."""
+        self._enter(Step.PUSH, now)
+        if self.arm_phase in ('done', 'aborted'):
+            self.phase(self.arm_phase, now)
+
+    def tick(self, now: float) -> None:
+        """Let time pass: fail the step whose deadline is over, end a rest."""
+        if self.status is GoalStatus.ACCEPTED or self._step is Step.END:
+            return
+        waited = now - self.entered
+        if self._step is Step.REST:
+            if waited >= self.goal.rest_time:
+                self.done(now)
+            return
+        limit = self._deadlines.of(self._step, self.goal, self.trial)
+        if waited > limit:
+            doing = self._step.name.lower()
+            self.failed(f'trial {self.trial.number}: no end of "{doing}" in {limit:.3g} s', now)
+
+    def cancel(self, now: float) -> bool:
+        """Return whether the goal can still be cancelled, and begin to do so."""
+        if self.status.terminal or self.status is GoalStatus.CANCELING:
+            return False
+        self.status = GoalStatus.CANCELING
+        if self._step in _RECORDING:
+            self._fail_trial('the experiment was cancelled')
+            self._enter(Step.STOP, now)
+        elif self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
+            self._enter(Step.DISABLE, now)
+        return True
+
+    def recorded(self, bag: str | None, missing: Iterable[str], now: float) -> None:
+        """
+        Take note that the bag is closed, and go on to the next trial or to the end.
+
+        Parameters
+        ----------
+        bag : str or None
+            Where the trial was recorded; None if it was not.
+        missing : iterable of str
+            Topics that a trial needs and of which nothing came.
+        now : float
+            Time [s].
+
+        """
+        lacking = ', '.join(missing)
+        outcome = Outcome.COMPLETE
+        if self._trial_failed:
+            outcome = Outcome.ABORTED
+        elif lacking:
+            outcome = Outcome.INCOMPLETE
+            self._trial_reason = f'nothing was received on {lacking}'
+        self.outcomes.append(TrialOutcome(self.trial, outcome, bag, self._trial_reason))
+        if self.status is GoalStatus.EXECUTING and not self.reason:
+            last = self.outcomes[-self._max_failures :]
+            if len(last) == self._max_failures and all(
+                item.outcome is not Outcome.COMPLETE for item in last
+            ):
+                self.reason = (
+                    f'{self._max_failures} trials in a row failed, the last one because '
+                    f'{self._trial_reason}'
+                )
+        over = self._index + 1 == len(self.trials)
+        if over or self.reason or self.status is GoalStatus.CANCELING:
+            self._enter(Step.DISABLE, now)
+        else:
+            self._enter(Step.REST, now)
+
+    def _fail_trial(self, reason: str) -> None:
+        """Mark the trial at hand; its first reason stands."""
+        if not self._trial_failed:
+            self._trial_failed = True
+            self._trial_reason = reason
+
+    def _enter(self, step: Step, now: float) -> None:
+        """Go to a step; a new trial forgets the last one's troubles."""
+        if step is Step.SAMPLE:
+            self._trial_failed = False
+            self._trial_reason = ''
+        if step is Step.START:
+            # The latched phase of the push before must not end this one.
+            self.arm_phase = None
+        self._step = step
+        self.entered = now
+
+    def _end(self, now: float) -> None:
+        """Settle the goal's final status."""
+        self._enter(Step.END, now)
+        if self.reason:
+            self.status = GoalStatus.ABORTED
+        elif self.status is GoalStatus.CANCELING:
+            self.status = GoalStatus.CANCELED
+            self.reason = 'cancelled on request'
+        elif any(item.outcome is Outcome.COMPLETE for item in self.outcomes):
+            self.status = GoalStatus.SUCCEEDED
+        else:
+            self.status = GoalStatus.ABORTED
+            self.reason = f'no trial is complete: {self.outcomes[-1].reason}'

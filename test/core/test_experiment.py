@@ -1,0 +1,255 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The experiment's plan and the life of its goal, without ROS."""
+
+import math
+
+import pytest
+
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.experiment import (
+    Deadlines,
+    Experiment,
+    ExperimentGoal,
+    GoalStatus,
+    Outcome,
+    Step,
+)
+
+DEADLINES = Deadlines(service=5.0, approach=20.0, margin=10.0)
+
+
+def goal(**changes: object) -> ExperimentGoal:
+    """Return a goal of 2 speeds, 2 depths and one repeat, with changes."""
+    values: dict[str, object] = {
+        'push_speeds': (0.0013, 0.0077),
+        'depths': (0.005, 0.010),
+        'repeats': 1,
+        'hold_time': 3.0,
+        'recover_time': 4.0,
+        'rest_time': 1.0,
+    }
+    return ExperimentGoal(**(values | changes))  # type: ignore[arg-type]
+
+
+def begun(**changes: object) -> Experiment:
+    """Return an experiment that executes, at time 0."""
+    experiment = Experiment(goal(**changes), DEADLINES, max_failures=2, now=0.0)
+    experiment.begin(0.0)
+    return experiment
+
+
+def advance(experiment: Experiment, step: Step, now: float = 0.0) -> None:
+    """Carry the steps out until `step` is due."""
+    for _ in range(20):
+        if experiment.step is step:
+            return
+        if experiment.step is Step.START:
+            experiment.started(now)
+        else:
+            experiment.done(now)
+    raise AssertionError(f'{step} was never due')
+
+
+def push(experiment: Experiment, phase: str = 'done', now: float = 0.0) -> None:
+    """Make the trial at hand, and record it."""
+    advance(experiment, Step.PUSH, now)
+    experiment.phase(phase, now)
+    assert experiment.step is Step.FINISH
+    experiment.recorded(f'/bags/{experiment.trial.name}', (), now)
+
+
+def test_the_grid_is_gone_through_before_it_is_repeated():
+    trials = goal(repeats=2).trials()
+    assert [trial.name for trial in trials] == [
+        'trial_001_1.3mm_s_5mm_r1',
+        'trial_002_1.3mm_s_10mm_r1',
+        'trial_003_7.7mm_s_5mm_r1',
+        'trial_004_7.7mm_s_10mm_r1',
+        'trial_005_1.3mm_s_5mm_r2',
+        'trial_006_1.3mm_s_10mm_r2',
+        'trial_007_7.7mm_s_5mm_r2',
+        'trial_008_7.7mm_s_10mm_r2',
+    ]
+
+
+def test_a_whole_number_of_millimetres_per_second_keeps_its_decimal():
+    (trial,) = goal(push_speeds=(0.005,), depths=(0.0105,)).trials()
+    assert trial.name == 'trial_001_5.0mm_s_10.5mm_r1'
+
+
+def test_different_pushes_never_share_a_name():
+    speeds = (0.001, 0.0010001, 0.0100001, 1e-9)
+    names = {trial.name for trial in goal(push_speeds=speeds).trials()}
+    assert len(names) == 8
+
+
+@pytest.mark.parametrize(
+    ('changes', 'says'),
+    [
+        ({'push_speeds': ()}, 'no speeds'),
+        ({'push_speeds': (0.001, -0.001)}, 'speeds has -0.001'),
+        ({'depths': (math.nan,)}, 'depths has nan'),
+        ({'depths': (0.01, 0.01)}, 'depths names a value twice'),
+        ({'repeats': 0}, 'repeats is 0'),
+        ({'hold_time': 0.0}, 'hold_time has 0'),
+        ({'recover_time': math.inf}, 'recover_time has inf'),
+        ({'rest_time': -1.0}, 'rest_time is -1'),
+    ],
+)
+def test_a_goal_that_cannot_be_pushed_is_refused_in_one_sentence(changes, says):
+    with pytest.raises(UsageError, match=says):
+        goal(**changes)
+
+
+def test_an_experiment_without_trouble_succeeds_with_all_its_trials():
+    experiment = begun()
+    for number in range(1, 5):
+        assert experiment.trial.number == number
+        push(experiment, now=float(number))
+        if number < 4:
+            assert experiment.step is Step.REST
+            experiment.tick(number + 0.5)
+            assert experiment.step is Step.REST, 'the rest is not over'
+            experiment.tick(number + 1.0)
+            assert experiment.step is Step.SAMPLE
+    assert experiment.step is Step.DISABLE
+    experiment.done(9.0)
+    assert experiment.status is GoalStatus.SUCCEEDED
+    assert [item.outcome for item in experiment.outcomes] == [Outcome.COMPLETE] * 4
+    assert experiment.time_left(9.0) == 0.0
+
+
+def test_the_latched_end_of_the_push_before_does_not_end_the_next_one():
+    experiment = begun()
+    experiment.phase('done', 0.0)
+    advance(experiment, Step.PUSH)
+    assert experiment.step is Step.PUSH
+
+
+def test_a_push_that_ends_before_the_service_answers_is_not_missed():
+    experiment = begun()
+    advance(experiment, Step.START)
+    experiment.phase('approach', 0.0)
+    experiment.phase('done', 0.0)
+    assert experiment.step is Step.START
+    experiment.started(0.0)
+    assert experiment.step is Step.FINISH
+
+
+def test_a_push_aborted_by_the_arm_is_kept_and_the_next_trial_goes_on():
+    experiment = begun()
+    push(experiment, 'aborted')
+    assert experiment.outcomes[0].outcome is Outcome.ABORTED
+    assert experiment.outcomes[0].bag is not None
+    assert experiment.step is Step.REST
+    experiment.tick(1.0)
+    push(experiment)
+    assert experiment.outcomes[1].outcome is Outcome.COMPLETE
+
+
+def test_two_failed_trials_in_a_row_abort_the_experiment():
+    experiment = begun()
+    push(experiment, 'aborted')
+    experiment.tick(1.0)
+    advance(experiment, Step.PUSH)
+    experiment.phase('done', 1.0)
+    experiment.recorded('/bags/b', ['/load_cell/wrench'], 1.0)
+    assert experiment.outcomes[1].outcome is Outcome.INCOMPLETE
+    assert experiment.step is Step.DISABLE
+    experiment.done(1.0)
+    assert experiment.status is GoalStatus.ABORTED
+    assert 'nothing was received on /load_cell/wrench' in experiment.reason
+
+
+@pytest.mark.parametrize('step', [Step.PLAN, Step.TARE, Step.CONFIGURE, Step.ENABLE])
+def test_a_service_that_does_not_answer_aborts_the_experiment(step):
+    experiment = begun()
+    advance(experiment, step)
+    experiment.tick(5.0)
+    assert experiment.step is step
+    experiment.tick(5.1)
+    assert experiment.step is Step.DISABLE
+    assert step.name.lower() in experiment.reason
+    experiment.done(5.2)
+    assert experiment.status is GoalStatus.ABORTED
+
+
+def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept():
+    experiment = begun()
+    advance(experiment, Step.PUSH)
+    experiment.phase('push', 0.0)
+    # approach + depth / speed + hold + recover + margin
+    limit = 20.0 + 0.005 / 0.0013 + 3.0 + 4.0 + 10.0
+    experiment.tick(limit - 0.1)
+    assert experiment.step is Step.PUSH
+    experiment.tick(limit + 0.1)
+    assert experiment.step is Step.STOP
+    experiment.tick(limit + 6.0)
+    assert experiment.step is Step.FINISH, 'a dead arm does not answer the stop either'
+    experiment.recorded('/bags/a', (), limit + 6.0)
+    experiment.failed('the arm does not answer', limit + 7.0)
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.outcomes[0].outcome is Outcome.ABORTED
+    assert experiment.outcomes[0].bag == '/bags/a'
+    assert 'push' in experiment.reason, 'the first reason stands, not the last'
+
+
+def test_a_cancel_in_mid_push_stops_the_arm_and_keeps_the_bag():
+    experiment = begun()
+    advance(experiment, Step.PUSH)
+    assert experiment.cancel(0.0)
+    assert experiment.status is GoalStatus.CANCELING
+    assert experiment.step is Step.STOP
+    assert not experiment.cancel(0.0), 'it is being cancelled already'
+    experiment.phase('aborted', 0.1)
+    assert experiment.step is Step.FINISH
+    experiment.recorded('/bags/a', (), 0.2)
+    experiment.done(0.3)
+    assert experiment.status is GoalStatus.CANCELED
+    assert [item.outcome for item in experiment.outcomes] == [Outcome.ABORTED]
+
+
+def test_a_cancel_between_trials_makes_no_further_push():
+    experiment = begun()
+    push(experiment)
+    assert experiment.cancel(0.5)
+    assert experiment.step is Step.DISABLE
+    experiment.done(0.6)
+    assert experiment.status is GoalStatus.CANCELED
+    assert not experiment.cancel(0.7), 'it is over'
+
+
+def test_the_time_left_falls_as_the_push_goes_on():
+    experiment = begun(push_speeds=(0.001,), depths=(0.005,), repeats=2)
+    one = 5.0 + 3.0 + 4.0
+    assert experiment.time_left(0.0) == pytest.approx(2 * one + 1.0)
+    advance(experiment, Step.PUSH)
+    assert experiment.time_left(2.0) == pytest.approx(2 * one + 1.0 - 2.0)
+    experiment.phase('done', 12.0)
+    experiment.recorded('/bags/a', (), 12.0)
+    assert experiment.time_left(12.25) == pytest.approx(one + 0.75)
+
+
+def test_a_disk_error_aborts_and_its_sentence_is_the_reason():
+    experiment = begun()
+    advance(experiment, Step.RECORD)
+    experiment.failed('cannot write /bags/a: no space left on device', 0.0)
+    assert experiment.step is Step.STOP
+    experiment.done(0.0)
+    experiment.recorded(None, (), 0.0)
+    experiment.done(0.0)
+    assert experiment.status is GoalStatus.ABORTED
+    assert 'no space left' in experiment.reason
