@@ -85,8 +85,8 @@ class ParameterSpec:
         """Return why `value` cannot be taken, as one sentence, or None if it can."""
         if not self._has_type(value):
             return (
-                f"Parameter '{self.name}' is {value!r}, not of type {self.kind}: write for instance "
-                f'{_EXAMPLES[self.kind]}.'
+                f"Parameter '{self.name}' is {value!r}, not of type {self.kind}: write "
+                f'it for example as {_EXAMPLES[self.kind]}.'
             )
         if self.choices and value not in self.choices:
             return f"Parameter '{self.name}' is {value!r}; choose from {', '.join(self.choices)}."

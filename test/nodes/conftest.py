@@ -1,0 +1,220 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What the tests of the nodes share: real node processes, a probe in the test process, deadlines.
+
+Each test process takes a ROS domain of its own, so that several runs do not hear each other.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+import os
+from pathlib import Path
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import pytest
+
+# Read by the message classes and by Fast DDS when they are imported.
+os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['OMP_NUM_THREADS'] = '1'
+
+import rclpy  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+
+from hapticvision_ros.bag.contract import Service, Topic  # noqa: E402
+from hapticvision_ros.nodes import qos  # noqa: E402
+
+START_DEADLINE = 30.0
+STOP_DEADLINE = 15.0
+DOMAIN_LOCK_PORT = 61000
+
+
+def wait_until(condition: Callable[[], Any], what: str, deadline: float = 20.0) -> Any:
+    """Return the first true value of `condition`; fail the test after `deadline` [s]."""
+    end = time.monotonic() + deadline
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.01)
+    pytest.fail(f'{what}: not within {deadline:g} s')
+
+
+class NodeProcess:
+    """A node of the package in a process of its own, as a user starts it."""
+
+    def __init__(self, name: str, arguments: list[str], log: Path) -> None:
+        self.name = name
+        self._log = log
+        executable = Path(sys.executable).with_name(name)
+        with log.open('wb') as output:
+            self._process = subprocess.Popen(
+                [str(executable), *arguments], stdout=output, stderr=subprocess.STDOUT
+            )
+
+    @property
+    def output(self) -> str:
+        """What the process has written so far."""
+        return self._log.read_text(encoding='utf-8', errors='replace')
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit code, or None while the process runs."""
+        return self._process.poll()
+
+    def wait(self, deadline: float = START_DEADLINE) -> int:
+        """Return the exit code of a process that ends by itself."""
+        return self._process.wait(deadline)
+
+    def stop(self, number: int = signal.SIGINT) -> int:
+        """Stop the process with a signal and return its exit code; kill it when it hangs."""
+        if self._process.poll() is None:
+            self._process.send_signal(number)
+        try:
+            return self._process.wait(STOP_DEADLINE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            raise
+
+
+class Probe:
+    """A node in the test process that hears and says what a test needs."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node('probe')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._closing.is_set():
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def listen(self, topic: Topic) -> list[Any]:
+        """Return a list that grows by each message of the topic."""
+        heard: list[Any] = []
+        qos.create_subscription(self.node, topic, heard.append)
+        return heard
+
+    def publisher(self, topic: Topic) -> Any:
+        """Return a publisher of the topic that some node already listens to."""
+        publisher = qos.create_publisher(self.node, topic)
+        wait_until(publisher.get_subscription_count, f'a subscriber of {topic.name}')
+        return publisher
+
+    def call(self, service: Service, request: Any, deadline: float = 10.0) -> Any:
+        """Return the answer of a service."""
+        client = qos.create_client(self.node, service)
+        wait_until(client.service_is_ready, f'the service {service.name}', START_DEADLINE)
+        future = client.call_async(request)
+        wait_until(future.done, f'the answer of {service.name}', deadline)
+        answer = future.result()
+        self.node.destroy_client(client)
+        return answer
+
+    def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> list[Any]:
+        """Set parameters of a node over its service and return the results."""
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        client = self.node.create_client(SetParameters, f'{node_name}/set_parameters')
+        wait_until(client.service_is_ready, f'the parameters of {node_name}', START_DEADLINE)
+        request = SetParameters.Request(
+            parameters=[
+                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+            ]
+        )
+        future = client.call_async(request)
+        wait_until(future.done, f'the parameters of {node_name}')
+        results = future.result().results
+        self.node.destroy_client(client)
+        return list(results)
+
+    def close(self) -> None:
+        """End the thread and the node."""
+        self._closing.set()
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+@pytest.fixture(scope='session', autouse=True)
+def ros_domain() -> Iterator[int]:
+    """Take a free ROS domain for this test process and its children."""
+    for domain in range(1, 100):
+        lock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            lock.bind(('127.0.0.1', DOMAIN_LOCK_PORT + domain))
+        except OSError:
+            lock.close()
+            continue
+        os.environ['ROS_DOMAIN_ID'] = str(domain)
+        with lock:
+            yield domain
+        return
+    pytest.fail('all ROS domains are taken by other test runs')
+
+
+@pytest.fixture(scope='session')
+def ros(ros_domain: int) -> Iterator[None]:
+    """Run ROS in the test process."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def probe(ros: None) -> Iterator[Probe]:
+    """Give the test a node of its own."""
+    made = Probe()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """
+    Start node processes that end with the test, also with a failed one.
+
+    ``start_node('load_cell_driver', {'frame_rate': 10.0}, '-r', '__ns:=/cell')``
+    """
+    started: list[NodeProcess] = []
+
+    def start(
+        name: str, parameters: Mapping[str, Any] | None = None, *ros_arguments: str
+    ) -> NodeProcess:
+        arguments = ['--ros-args', *ros_arguments]
+        for key, value in (parameters or {}).items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ['-p', f'{key}:={text}']
+        process = NodeProcess(name, arguments, tmp_path / f'{name}-{len(started)}.log')
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.stop()
+    for process in started:
+        sys.stdout.write(f'--- {process.name}: {process.returncode}\n{process.output}\n')
