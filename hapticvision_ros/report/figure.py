@@ -294,25 +294,26 @@ def svg(panel: Panel, salt: str) -> str:
     span = _span(panel)
     close_up = _close_up(panel, span)
     windows = [span] if close_up is None else [close_up, span]
-    style = {
-        'svg.fonttype': 'none',
-        'svg.hashsalt': salt,
-        'font.family': 'sans-serif',
-        'font.size': 9.5,
-        'text.color': _INK,
-        'axes.edgecolor': _INK,
-        'axes.labelcolor': _INK,
-        'xtick.color': _INK,
-        'ytick.color': _INK,
-        'axes.linewidth': 0.7,
-        'axes.spines.top': False,
-        'axes.spines.right': False,
-        'grid.color': _GRID,
-        'grid.linewidth': 0.6,
-        'axes.unicode_minus': True,
-        'path.simplify': True,
-    }
-    with mpl.rc_context(style):
+    with mpl.rc_context(
+        {
+            'svg.fonttype': 'none',
+            'svg.hashsalt': salt,
+            'font.family': 'sans-serif',
+            'font.size': 9.5,
+            'text.color': _INK,
+            'axes.edgecolor': _INK,
+            'axes.labelcolor': _INK,
+            'xtick.color': _INK,
+            'ytick.color': _INK,
+            'axes.linewidth': 0.7,
+            'axes.spines.top': False,
+            'axes.spines.right': False,
+            'grid.color': _GRID,
+            'grid.linewidth': 0.6,
+            'axes.unicode_minus': True,
+            'path.simplify': True,
+        }
+    ):
         figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), layout='constrained')
         FigureCanvasSVG(figure)
         figure.patch.set_alpha(0.0)

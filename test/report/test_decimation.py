@@ -13,8 +13,9 @@
 # limitations under the License.
 
 
-from hapticvision_ros.report.decimation import envelope, line
 import numpy as np
+
+from hapticvision_ros.report.decimation import envelope, line
 
 
 def test_a_glitch_of_one_sample_survives_decimation() -> None:
