@@ -1,0 +1,308 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Processes that live and end together.
+
+Each process is a session of its own, so that Ctrl-C reaches only the supervisor, which then stops
+them in order; and each asks the kernel for SIGTERM at the supervisor's death, so that none is
+left over whatever ends it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import ctypes
+from dataclasses import dataclass, field
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from types import FrameType, TracebackType
+from typing import Final, Self
+
+from hapticvision_ros.core.errors import HapticVisionError
+from hapticvision_ros.share import share_folder
+
+STOP_GRACE: Final = 6.0
+"""How long a process may take to end after SIGINT, before SIGKILL [s]."""
+_PR_SET_PDEATHSIG: Final = 1
+
+
+class ProcessError(HapticVisionError):
+    """A process that others need has ended, or did not come up."""
+
+    exit_code = 1
+
+
+@dataclass(slots=True)
+class _Child:
+    """One supervised process and what it has said."""
+
+    name: str
+    popen: subprocess.Popen[str]
+    prefix: str
+    grace: float
+    lines: 'queue.Queue[str]' = field(default_factory=queue.Queue)
+
+
+def program(module: str, *arguments: str) -> list[str]:
+    """
+    Return the command that runs the `main` of a module with the present interpreter.
+
+    The program gets SIGTERM when the present process dies.
+    """
+    code = (
+        'import sys\n'
+        f'from {__name__} import end_with\n'
+        f'end_with({os.getpid()})\n'
+        f'from {module} import main\n'
+        'sys.exit(main())'
+    )
+    return [sys.executable, '-c', code, *arguments]
+
+
+def node(name: str, *arguments: str) -> list[str]:
+    """Return the command that runs a node of this package."""
+    return program(f'hapticvision_ros.nodes.{name}', *arguments)
+
+
+def end_with(parent: int) -> None:
+    """Let the present process be told to end when the process `parent`, its parent, dies."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        # It died before the kernel was asked.
+        sys.exit(128 + signal.SIGTERM)
+
+
+def ros_environment(domain: int | None = None) -> dict[str, str]:
+    """
+    Return the environment of the nodes: discovery on this machine only, and the DDS profile.
+
+    What the user has set stands.
+
+    Parameters
+    ----------
+    domain : int, optional
+        ROS domain; that of the present environment if not given.
+
+    Returns
+    -------
+    dict of str to str
+        A whole environment.
+
+    """
+    environment = dict(os.environ)
+    environment.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    profile = share_folder() / 'config' / 'fastdds_profile.xml'
+    if 'FASTDDS_DEFAULT_PROFILES_FILE' not in environment:
+        environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    environment['PYTHONUNBUFFERED'] = '1'
+    if domain is not None:
+        environment['ROS_DOMAIN_ID'] = str(domain)
+    return environment
+
+
+class Supervisor:
+    """
+    Starts processes, passes on what they say, and stops all of them at its end.
+
+    A context manager, to be used in the main thread: SIGTERM unwinds it like Ctrl-C, with exit
+    code 143.
+
+    Parameters
+    ----------
+    environment : mapping of str to str
+        Environment of the processes.
+    show : callable, optional
+        Takes each line of output; prints it if not given.
+
+    """
+
+    def __init__(
+        self, environment: Mapping[str, str], show: Callable[[str], None] | None = None
+    ) -> None:
+        self._environment = dict(environment)
+        self._show = show or (lambda line: print(line, flush=True))
+        self._stages: list[list[_Child]] = []
+        self._exits: queue.Queue[str] = queue.Queue()
+        self._print_lock = threading.Lock()
+        self._readers: list[threading.Thread] = []
+
+    def __enter__(self) -> Self:
+        self._former = signal.signal(signal.SIGTERM, _terminated)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            self.stop()
+        finally:
+            signal.signal(signal.SIGTERM, self._former)
+
+    def start(
+        self,
+        commands: Mapping[str, Sequence[str]],
+        *,
+        labelled: bool = True,
+        grace: float = STOP_GRACE,
+    ) -> None:
+        """
+        Start processes that belong together; they are stopped before those started earlier.
+
+        Parameters
+        ----------
+        commands : mapping of str to sequence of str
+            Name to command.
+        labelled : bool
+            Whether each line of output is shown with the process's name before it.
+        grace : float
+            How long they may take to end after SIGINT [s].
+
+        Raises
+        ------
+        ProcessError
+            If a command cannot be run.
+
+        """
+        stage: list[_Child] = []
+        self._stages.append(stage)
+        for name, command in commands.items():
+            try:
+                popen = subprocess.Popen(
+                    list(command),
+                    env=self._environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    encoding='utf-8',
+                    errors='replace',
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise ProcessError(f'cannot start {name}: {error.strerror}.') from error
+            child = _Child(name, popen, f'[{name}] ' if labelled else '', grace)
+            stage.append(child)
+            reader = threading.Thread(target=self._read, args=(child,), daemon=True)
+            self._readers.append(reader)
+            reader.start()
+
+    def wait_for_line(self, name: str, start: str, timeout: float) -> str:
+        """
+        Return the first line of a process that begins with `start`.
+
+        Raises
+        ------
+        ProcessError
+            If the process ends before, or does not say it in `timeout` [s].
+
+        """
+        child = self._child(name)
+        deadline = time.monotonic() + timeout
+        while (left := deadline - time.monotonic()) > 0.0:
+            # An ended process says nothing more: look at it between short waits.
+            with contextlib.suppress(queue.Empty):
+                line = child.lines.get(timeout=min(left, 0.1))
+                if line.startswith(start):
+                    return line
+                continue
+            if child.popen.poll() is not None and child.lines.empty():
+                raise ProcessError(f'{name} ended with {_how(child.popen)} before it was ready.')
+        raise ProcessError(f'{name} was not ready in {timeout:g} s: see its output above.')
+
+    def wait(self, client: str | None = None) -> int:
+        """
+        Wait until `client` ends, and return its exit code; forever if there is none.
+
+        Raises
+        ------
+        ProcessError
+            If another process ends.
+
+        """
+        while True:
+            try:
+                name = self._exits.get(timeout=1.0)
+            except queue.Empty:
+                continue
+            popen = self._child(name).popen
+            if name == client:
+                return popen.returncode if popen.returncode >= 0 else 128 - popen.returncode
+            raise ProcessError(f'{name} ended with {_how(popen)}; all others are being stopped.')
+
+    def pid(self, name: str) -> int:
+        """Return the number of a process."""
+        return self._child(name).popen.pid
+
+    def stop(self) -> None:
+        """Stop all processes, the last started first; safe to call again."""
+        former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            while self._stages:
+                _stop_all(self._stages.pop())
+            for reader in self._readers:
+                reader.join(1.0)
+        finally:
+            signal.signal(signal.SIGINT, former)
+
+    def _child(self, name: str) -> _Child:
+        return next(child for stage in self._stages for child in stage if child.name == name)
+
+    def _read(self, child: _Child) -> None:
+        """Pass on what a process says, until it ends."""
+        assert child.popen.stdout is not None
+        with child.popen.stdout as stream:
+            for line in stream:
+                text = line.rstrip('\n')
+                child.lines.put(text)
+                with self._print_lock:
+                    self._show(child.prefix + text)
+        child.popen.wait()
+        self._exits.put(child.name)
+
+
+def _terminated(number: int, frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def _how(popen: subprocess.Popen[str]) -> str:
+    """Return how a process ended, in words."""
+    code = popen.wait()
+    return f'signal {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+
+
+def _signal_group(child: _Child, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child.popen.pid, number)
+
+
+def _stop_all(stage: list[_Child]) -> None:
+    """Ask processes to end, and end those that do not."""
+    for child in stage:
+        if child.popen.poll() is None:
+            _signal_group(child, signal.SIGINT)
+    start = time.monotonic()
+    for child in stage:
+        left = max(0.0, start + child.grace - time.monotonic())
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.popen.wait(left)
+        if child.popen.poll() is None:
+            _signal_group(child, signal.SIGKILL)
+            child.popen.wait()
