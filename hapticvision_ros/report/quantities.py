@@ -17,6 +17,7 @@
 
 from dataclasses import dataclass
 import math
+import sys
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -135,12 +136,14 @@ def format_number(value: float, std: float | None = None) -> str:
     """
     if not math.isfinite(value) or (std is not None and not (math.isfinite(std) and std >= 0.0)):
         raise ValueError(f'{value} ± {std} cannot be printed as a measured number')
+    if abs(value) < sys.float_info.min:
+        value = 0.0  # A power of ten cannot scale what is smaller.
     largest = max(abs(value), std or 0.0)
     power = _exponent(largest)
     if _SMALLEST_PLAIN_EXPONENT <= power < _LARGEST_PLAIN_EXPONENT:
         power = 0
     scaled = value / 10.0**power
-    if not std:
+    if std is None or std < sys.float_info.min:
         last = _exponent(scaled) - _DIGITS_WITHOUT_ERROR + 1
         return _fixed(scaled, last) + (_power(power) if power else '')
     error = std / 10.0**power

@@ -66,7 +66,7 @@ def test_rounding_moves_a_number_by_less_than_a_tenth_of_its_error(
 
 @given(FINITE)
 def test_without_an_error_four_digits_are_kept(value: float) -> None:
-    # Below 1e-12 the smallest digit of a double with a power of ten is all there is.
+    # Half a unit of the fourth digit is 5e-4 at most.
     assert math.isclose(read_back(format_number(value)), value, rel_tol=5.1e-4, abs_tol=1e-12)
 
 
