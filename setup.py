@@ -43,6 +43,7 @@ setup(
     entry_points={
         'console_scripts': [
             'hapticvision = hapticvision_ros.cli.main:main',
+            'simulated_world = hapticvision_ros.sim.server:main',
             *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
         ],
     },
