@@ -30,18 +30,17 @@ import time
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
-# Read by the message classes and by Fast DDS when they are imported.
+from hapticvision_ros.bag.contract import Service, Topic
+from hapticvision_ros.nodes import qos
+
+# Read when a message package is imported, when ROS starts, and by the node processes.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['OMP_NUM_THREADS'] = '1'
-
-import rclpy  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.signals import SignalHandlerOptions  # noqa: E402
-
-from hapticvision_ros.bag.contract import Service, Topic  # noqa: E402
-from hapticvision_ros.nodes import qos  # noqa: E402
 
 START_DEADLINE = 30.0
 STOP_DEADLINE = 15.0
@@ -158,6 +157,12 @@ class Probe:
         self._thread.join()
         self._executor.shutdown()
         self.node.destroy_node()
+
+
+@pytest.fixture
+def until() -> Callable[..., Any]:
+    """Return ``wait_until``, which test modules cannot import from here."""
+    return wait_until
 
 
 @pytest.fixture(scope='session', autouse=True)
