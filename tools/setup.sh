@@ -95,7 +95,7 @@ install_lock() {
     "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
         -r "$venv/uv.lock" >"$log" 2>&1 &&
         UV_DEFAULT_INDEX="${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-https://pypi.org/simple}}" \
-            "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
+            UV_SYSTEM_CERTS=true "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
             --python "$venv/bin/python" -r requirements.lock >>"$log" 2>&1 ||
         "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
             -r requirements.lock >>"$log" 2>&1 ||

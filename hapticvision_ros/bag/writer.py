@@ -399,6 +399,7 @@ def write_signals(
     push_velocity: Signal | None = None,
     phases: Iterable[tuple[float, str]] = (),
     clouds: Iterable[CloudFrame] = (),
+    extra: Iterable[tuple[Topic, Signal]] = (),
     provenance: Mapping[str, str] | None = None,
     compression: Compression = 'zstd',
 ) -> None:
@@ -423,6 +424,8 @@ def write_signals(
         Commanded phases and their times, in order of time.
     clouds : iterable of CloudFrame
         Frames of the range sensor, in order of time; taken one at a time.
+    extra : iterable of (Topic, Signal)
+        Numbers outside the contract, each on a topic of type ``std_msgs/msg/Float64``.
     provenance : mapping of str to str, optional
         Where the data come from. ``displacement_source: tool`` says that one recorded
         displacement serves as both the tool's and the object's.
@@ -445,6 +448,8 @@ def write_signals(
         streams.append(_numbers(2, DISPLACEMENT_HEIGHT, start_ns, displacement))
     if push_velocity is not None:
         streams.append(_numbers(3, PUSH_VELOCITY, start_ns, push_velocity))
+    for order, (topic, signal) in enumerate(extra, start=6):
+        streams.append(_numbers(order, topic, start_ns, signal))
     with BagWriter(path, compression=compression, atomic=True) as writer:
         if provenance is not None:
             writer.write_metadata(PROVENANCE, provenance)
