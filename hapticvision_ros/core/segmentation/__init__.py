@@ -1,0 +1,33 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The phases of a trial from its signals alone: offline, and online sample by sample."""
+
+from hapticvision_ros.core.segmentation.events import (
+    EventKind,
+    PhaseEvent,
+    PhaseName,
+    SegmentationOptions,
+)
+from hapticvision_ros.core.segmentation.offline import segment
+from hapticvision_ros.core.segmentation.online import OnlineSegmenter
+
+__all__ = [
+    'EventKind',
+    'OnlineSegmenter',
+    'PhaseEvent',
+    'PhaseName',
+    'SegmentationOptions',
+    'segment',
+]

@@ -1,0 +1,474 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The phases of a recorded trial, from the whole of its signals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
+from hapticvision_ros.core.segmentation.events import SegmentationOptions
+from hapticvision_ros.core.segmentation.fits import (
+    despike,
+    fit_onset,
+    fit_stop,
+    noise_std,
+)
+
+_FEWEST = 8
+_DEFAULTS = SegmentationOptions()
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """The despiked signals: force at `tf` [s, N], travel at `tx` [s, m], and their noise."""
+
+    tf: FloatArray
+    f: FloatArray
+    tx: FloatArray
+    x: FloatArray
+    force_noise: float
+    travel_noise: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Contact:
+    """First touch: time [s], force zero [N] or None where there is none, force peak [N]."""
+
+    t: float | None
+    zero: float | None
+    amplitude: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rest:
+    """Samples `first` to `stop` during which the tool stays at travel `level` [m]."""
+
+    first: int
+    stop: int
+    level: float
+
+
+def segment(
+    force: Signal,
+    tool_height: Signal,
+    displacement_height: Signal | None = None,
+    *,
+    options: SegmentationOptions = _DEFAULTS,
+) -> Segmentation:
+    """
+    Find the phases of a trial from its signals alone.
+
+    T_c is the onset of the force over the tool's travel; T_s is the moment at which the tool has
+    come to rest (the end of its slowing down, where it slows down) and T_e the moment at which it
+    starts back, both from the tool's motion; t_loss is where the force on withdrawal has gone to
+    its level without contact for good, after the pull of an adhesive object.
+
+    Parameters
+    ----------
+    force : Signal
+        Contact force [N] with the load cell's offset, positive in compression.
+    tool_height : Signal
+        Height of the tool tip [m], falling as the tool pushes; its rate may differ.
+    displacement_height : Signal or None
+        The paper's H [m]; where the force cannot tell, it shows when the surface stays behind.
+    options : SegmentationOptions
+        What counts as an event.
+
+    Returns
+    -------
+    Segmentation
+        The phases; what is missing is None, with a warning that says why.
+
+    Raises
+    ------
+    InputError
+        If the signals are too short or do not overlap in time.
+
+    """
+    record = _prepare(force, tool_height)
+    t_end = float(min(force.t[-1], tool_height.t[-1]))
+    contact = _find_contact(record, options)
+    warnings = list(contact.warnings)
+    if contact.t is None:
+        zero = float(np.median(record.f))
+        return Segmentation(None, None, None, None, t_end, None, zero, None, None, tuple(warnings))
+    x_contact = float(np.interp(contact.t, record.tx, record.x))
+    t_hold, t_release, t_stop, level, notes = _find_motion(record, contact.t, x_contact, options)
+    warnings += notes
+    t_end = min(t_end, t_stop)
+    t_loss, after_loss, notes = _find_loss(
+        record, contact, t_release, t_end, x_contact, displacement_height, options
+    )
+    warnings += notes
+    zero_known = contact.zero if contact.zero is not None else after_loss
+    if zero_known is None:
+        warnings.append(
+            'the record has no force without contact: the zero of the load cell is taken as 0 N'
+        )
+    depth = push_speed = None
+    t_deepest = t_hold if t_hold is not None else t_release
+    if t_deepest is not None and t_deepest > contact.t:
+        depth = level - x_contact
+        push_speed = depth / (t_deepest - contact.t)
+    elif t_deepest is None and t_end > contact.t:
+        push_speed = (level - x_contact) / (t_end - contact.t)
+    return Segmentation(
+        t_contact=contact.t,
+        t_hold=t_hold,
+        t_release=t_release,
+        t_loss=t_loss,
+        t_end=t_end,
+        contact_height=float(tool_height.value[0]) - x_contact,
+        force_zero=zero_known if zero_known is not None else 0.0,
+        push_speed=push_speed,
+        depth=depth,
+        warnings=tuple(warnings),
+    )
+
+
+def _prepare(force: Signal, tool_height: Signal) -> _Record:
+    for name, signal in (('force', force), ('tool height', tool_height)):
+        if len(signal) < _FEWEST:
+            raise InputError(
+                f'the {name} has {len(signal)} samples, too few to find the phases of a trial: '
+                f'record at least {_FEWEST}'
+            )
+    start = max(force.t[0], tool_height.t[0])
+    stop = min(force.t[-1], tool_height.t[-1])
+    if stop <= start:
+        raise InputError(
+            'the force and the tool height do not overlap in time: check the clocks that '
+            'stamped them'
+        )
+    f = despike(force.value)
+    x = tool_height.value[0] - despike(tool_height.value)
+    inside = slice(*np.searchsorted(force.t, (start, stop + 1e-12)))
+    f_noise, x_noise = noise_std(f), noise_std(x)
+    # An encoder's step is an error that a rest does not show.
+    steps = np.abs(np.diff(x))
+    moving = steps[steps > 0.0]
+    if moving.size and moving.size < 0.7 * steps.size:
+        x_noise = max(x_noise, 0.3 * float(np.min(moving)))
+    return _Record(force.t[inside], f[inside], tool_height.t, x, f_noise, x_noise)
+
+
+def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
+    tf, f = record.tf, record.f
+    block = max(1, f.size // 4000)
+    starts = np.arange(0, f.size, block)
+    coarse = np.add.reduceat(f, starts) / np.diff(np.append(starts, f.size))
+    sigma = record.force_noise
+    peak = int(np.argmax(coarse))
+    before = coarse[: peak + 1]
+    p10 = float(np.quantile(before, 0.1))
+    base = float(np.mean(before[before <= p10 + 2.6 * sigma]))
+    amplitude = float(coarse[peak]) - base
+    least = options.contact_sigmas * sigma + 1e-12 * float(np.max(np.abs(f)))
+    if amplitude <= least or peak < 2:
+        if float(np.ptp(coarse)) > least and peak < 2:
+            return _Contact(
+                float(tf[0]),
+                None,
+                float(coarse[peak] - np.min(coarse)),
+                (
+                    'the force is largest at the start of the record: it starts in contact, and '
+                    'the push is not in it',
+                ),
+            )
+        return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
+    threshold = max(0.2 * amplitude, least)
+    high = int(np.argmax(before > base + threshold)) * block
+    quiet = np.flatnonzero(f[: high + 1] <= base + max(least, 0.01 * amplitude))
+    low = int(quiet[-1]) if quiet.size else 0
+    rise = max(high - low, 6)
+    high = min(max(high, low + 2 * rise), f.size - 1)
+    first = max(0, low - max(4 * rise, 40))
+    window = slice(first, high + 1)
+    t_window = tf[window]
+    travel = np.interp(t_window, record.tx, _smooth(record))
+    latest = float(tf[min(high, low + rise)])
+    onset = fit_onset(t_window, f[window], travel, float(t_window[0]), latest)
+    baseline = onset.baseline
+    reach = float(t_window[-1]) - onset.t
+    stop = int(np.searchsorted(tf, onset.t - 0.1 * reach))
+    rises = False
+    if stop >= 20:
+        slope, error = _line(tf[:stop], f[:stop])
+        if abs(slope) > 4.0 * error:
+            rises = abs(slope) * reach > 0.05 * amplitude
+            drift = slope * (t_window - onset.t)
+            onset = fit_onset(t_window, f[window] - drift, travel, float(t_window[0]), latest)
+            baseline = onset.baseline
+    return _judge_contact(record, onset.t, baseline, amplitude, rises, options)
+
+
+def _line(t: FloatArray, value: FloatArray) -> tuple[float, float]:
+    """Return the slope of a straight line and its standard error, from 20 means of blocks."""
+    starts = np.linspace(0, t.size, 21).astype(np.intp)[:-1]
+    size = np.diff(np.append(starts, t.size))
+    tb, vb = np.add.reduceat(t, starts) / size, np.add.reduceat(value, starts) / size
+    tb -= np.mean(tb)
+    power = float(tb @ tb)
+    slope = float(tb @ vb) / power
+    residual = vb - np.mean(vb) - slope * tb
+    return slope, float(np.sqrt(residual @ residual / 18.0 / power))
+
+
+def _smooth(record: _Record) -> FloatArray:
+    """Return the travel with its noise averaged over a hundredth of its range."""
+    x = record.x
+    step = np.abs(np.diff(x))
+    typical = float(np.mean(step[step >= np.quantile(step, 0.9)])) if step.size else 0.0
+    width = 1 + 2 * int(min(50.0, 2.0 * record.travel_noise / max(typical, 1e-300)))
+    if width == 1 or x.size < 2 * width:
+        return x
+    padded = np.concatenate((np.full(width // 2, x[0]), x, np.full(width // 2, x[-1])))
+    total = np.concatenate(([0.0], np.cumsum(padded)))
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def _judge_contact(
+    record: _Record,
+    t: float,
+    baseline: float,
+    amplitude: float,
+    rises: bool,
+    options: SegmentationOptions,
+) -> _Contact:
+    """Tell a contact after an approach from one that was there when the record began."""
+    tf, tx, x = record.tf, record.tx, record.x
+    reach = float(np.max(x) - x[0])
+    away = np.flatnonzero(np.abs(x - x[0]) > 5.0 * record.travel_noise + 1e-3 * reach)
+    start = max(float(tf[0]), float(tx[0]))
+    if away.size == 0:
+        return _Contact(t, baseline, amplitude, ('the tool does not move',))
+    moved = int(away[0])
+    if moved >= 4 and tx[moved] - tx[0] > 0.0:
+        travelled = float(np.interp(t, tx, x)) - float(np.median(x[: moved - 1]))
+        if travelled <= 5.0 * record.travel_noise + 0.01 * reach:
+            started = _fit_start(record, 0, moved, options)
+            still = record.f[tf < started]
+            zero = float(np.mean(still)) if still.size else baseline
+            return _Contact(
+                started,
+                zero,
+                amplitude,
+                (
+                    'the force rises as soon as the tool moves: it rests on the object from the '
+                    f'start, and its reading there, {zero:.4g} N, is taken as the force zero',
+                ),
+            )
+        return _Contact(t, baseline, amplitude, ())
+    if rises or np.count_nonzero(tf < t) <= 3:
+        return _Contact(
+            start,
+            None,
+            amplitude,
+            ('the force rises from the first sample: contact is at the start of the record',),
+        )
+    return _Contact(t, baseline, amplitude, ())
+
+
+def _fit_start(record: _Record, first: int, moved: int, options: SegmentationOptions) -> float:
+    """Return when a tool at rest from sample `first` starts, seen to have moved at `moved`."""
+    tx, x = record.tx, record.x
+    level = float(np.median(x[first:moved]))
+    far = 0.2 * float(np.max(np.abs(x[moved:] - level)))
+    leg = int(np.argmax(np.abs(x[moved:] - level) >= far))
+    last = min(x.size, moved + max(leg, 4) + 1)
+    begin = max(first, moved - max(2 * (last - moved), 8))
+    t = -tx[begin:last][::-1]
+    return -fit_stop(t, x[begin:last][::-1], float(t[0]), float(t[-1]))
+
+
+def _find_rests(
+    t: FloatArray, x: FloatArray, band: float, options: SegmentationOptions
+) -> list[_Rest]:
+    """Return where the tool stays within `band` far longer than it takes to cross it."""
+    anchors = [0]
+    while True:
+        i, size = anchors[-1], 64
+        found = -1
+        while found < 0 and i + 1 < x.size:
+            chunk = np.abs(x[i : i + size] - x[anchors[-1]]) > band
+            hit = int(np.argmax(chunk))
+            if chunk[hit]:
+                found = i + hit
+            i, size = i + size, 2 * size
+        if found < 0:
+            break
+        anchors.append(found)
+    edges = np.array([*anchors, x.size - 1])
+    duration = np.diff(t[edges])
+    rising = np.diff(x[edges]) > 0.5 * band
+    if not np.any(rising):
+        return []
+    pace = float(np.median(duration[rising]))
+    step = float(np.median(np.diff(t)))
+    at_rest = (duration > options.rest_slowdown * pace) & (duration > 3.0 * step)
+    rests: list[_Rest] = []
+    for k in np.flatnonzero(at_rest):
+        first, stop = int(edges[k]), int(edges[k + 1])
+        if k + 2 == edges.size:
+            stop += 1
+        if rests and rests[-1].stop >= first:
+            first = rests[-1].first
+            rests.pop()
+        rests.append(_Rest(first, stop, float(np.median(x[first:stop]))))
+    return rests
+
+
+def _find_motion(
+    record: _Record, t_contact: float, x_contact: float, options: SegmentationOptions
+) -> tuple[float | None, float | None, float, float, list[str]]:
+    """Return T_s, T_e, the end of the usable record, the travel reached, and warnings."""
+    begin = max(0, int(np.searchsorted(record.tx, t_contact)) - 1)
+    tx, x = record.tx[begin:], record.x[begin:]
+    t_stop = float(tx[-1])
+    deepest = int(np.argmax(x))
+    reach = float(x[deepest]) - x_contact
+    if reach <= 5.0 * record.travel_noise or x.size < 4:
+        return (
+            t_contact,
+            None,
+            t_stop,
+            x_contact,
+            ['the tool does not push on after contact: the whole record is taken as the hold'],
+        )
+    band = max(5.0 * record.travel_noise, options.rest_band * reach)
+    rests = _find_rests(tx, x, band, options)
+    rests = [r for r in rests if r.level - x_contact > 0.05 * reach]
+    notes: list[str] = []
+    hold: _Rest | None = None
+    steps = 0
+    for rest in rests:
+        pushed = float(tx[rest.first]) - t_contact
+        lasted = float(tx[rest.stop - 1] - tx[rest.first])
+        ahead = float(np.max(x[rest.stop - 1 :])) - rest.level
+        behind = float(np.max(x[: rest.first + 1])) - rest.level
+        if behind > max(2.0 * band, 0.03 * reach):
+            break
+        goes_on = ahead > max(2.0 * band, 0.05 * reach)
+        if goes_on and lasted < 0.2 * pushed:
+            continue
+        steps += 1
+        if hold is None:
+            hold = rest
+        if not goes_on:
+            break
+    if hold is None:
+        return _without_hold(tx, x, deepest, band, notes)
+    left = hold.stop
+    t_hold = _fit_hold(tx, x, hold, t_contact)
+    away = left < x.size and abs(float(x[left]) - hold.level) > 0.0
+    if not away:
+        notes.append('the tool does not withdraw within the record: the release is missing')
+        return t_hold, None, t_stop, hold.level, notes
+    part = _Record(record.tf, record.f, tx, x, record.force_noise, record.travel_noise)
+    t_leave = _fit_start(part, _after(tx, t_hold), left, options)
+    ahead = float(np.max(x[left:])) - hold.level
+    if ahead > max(2.0 * band, 0.05 * reach):
+        notes.append(
+            f'the tool pushes in steps: the phases are those of the first of {steps} holds, and '
+            f'the record is used up to the next step, at {t_leave:.4g} s'
+        )
+        return t_hold, None, t_leave, hold.level, notes
+    return t_hold, t_leave, t_stop, hold.level, notes
+
+
+def _after(t: FloatArray, moment: float) -> int:
+    return min(int(np.searchsorted(t, moment)), t.size - 2)
+
+
+def _without_hold(
+    tx: FloatArray, x: FloatArray, deepest: int, band: float, notes: list[str]
+) -> tuple[float | None, float | None, float, float, list[str]]:
+    level = float(x[deepest])
+    if level - float(np.min(x[deepest:])) > 5.0 * band:
+        notes.append('the tool withdraws without a rest: the hold is missing')
+        return None, float(tx[deepest]), float(tx[-1]), level, notes
+    notes.append('the tool still pushes at the end of the record: the hold is missing')
+    return None, None, float(tx[-1]), level, notes
+
+
+def _fit_hold(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> float:
+    """Return when the tool has come to rest, from the push before `hold` and its first part."""
+    low = int(np.argmax(x >= x[0] + 0.7 * (hold.level - x[0])))
+    low = max(0, min(low, hold.first - 5))
+    span = max(hold.first - low, 5)
+    last = min(hold.stop, hold.first + 2 * span)
+    t = tx[low:last]
+    latest = min(float(tx[hold.stop - 1]), float(tx[min(hold.first + span, tx.size - 1)]))
+    return max(t_contact, fit_stop(t, x[low:last], float(t[0]), latest))
+
+
+def _find_loss(
+    record: _Record,
+    contact: _Contact,
+    t_release: float | None,
+    t_end: float,
+    x_contact: float,
+    displacement_height: Signal | None,
+    options: SegmentationOptions,
+) -> tuple[float | None, float | None, list[str]]:
+    """Return t_loss, the force level after it, and warnings."""
+    if t_release is None:
+        return None, None, []
+    first, last = np.searchsorted(record.tf, (t_release, t_end))
+    t, f = record.tf[first : last + 1], record.f[first : last + 1]
+    missing = 'the force does not settle on withdrawal: the loss of contact is missing'
+    if f.size < 5:
+        return None, None, [missing]
+    tail = f[-max(5, f.size // 10) :]
+    level = float(np.mean(tail))
+    band = max(
+        options.contact_sigmas * record.force_noise, options.loss_fraction * contact.amplitude
+    )
+    zero = contact.zero if contact.zero is not None else 0.0
+    x_end = float(np.interp(t_end, record.tx, record.x))
+    slack = 5.0 * record.travel_noise + options.rest_band * float(np.max(record.x) - x_contact)
+    free = x_end < x_contact - slack or abs(level - zero) <= band
+    settled = abs(float(np.mean(tail[: tail.size // 2])) - level) <= band
+    if not settled or (not free and abs(level - zero) > 0.15 * contact.amplitude):
+        return None, None, [missing]
+    outside = np.abs(f - level) > band
+    if free:
+        coarse = int(np.flatnonzero(outside)[-1]) + 1 if np.any(outside) else 0
+    else:
+        coarse = int(np.argmin(outside))
+    if coarse == 0:
+        return t_release, level, []
+    coarse = min(coarse, f.size - 1)
+    if not free:
+        return (
+            float(t[coarse]),
+            None,
+            [
+                f'a force of {level - zero:.3g} N keeps the tool on the object as it recovers: '
+                'contact is never lost, and t_loss is when the force first falls to that'
+            ],
+        )
+    big = np.flatnonzero(np.abs(f[:coarse] - level) > max(4.0 * band, 0.2 * contact.amplitude))
+    begin = int(big[-1]) if big.size else 0
+    begin = max(0, min(begin, coarse - 6))
+    stop = min(f.size, coarse + 3 * max(coarse - begin, 10))
+    back_t, back_f = -t[begin:stop][::-1], f[begin:stop][::-1]
+    latest = -float(t[begin])
+    earliest = -float(t[min(coarse + (coarse - begin), stop - 1)])
+    onset = fit_onset(back_t, back_f, back_t, earliest, latest)
+    return max(t_release, -onset.t), level, []
