@@ -1,0 +1,103 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Which samples of a record are glitches: spikes, drop-outs and short bursts.
+
+References
+----------
+.. [1] F. R. Hampel, "The influence curve and its role in robust estimation", J. Am. Stat. Assoc.
+   69 (1974), doi:10.1080/01621459.1974.10482962: the departure from a running median, over its
+   own median absolute value.
+
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticvision_ros.core.records import FloatArray
+
+NORMAL_FROM_MAD: Final = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+_HALF_WIDTH: Final = 5
+_SIGMAS: Final = 8.0
+_SCALES: Final = (1, 4, 16, 64)
+
+
+def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
+    """
+    Return which samples stand out of their own neighbourhood.
+
+    A sample is compared with the running median of the 11 samples around it, and so are the
+    medians of blocks of 4, 16 and 64 samples, so that bursts up to 320 samples long are seen. The
+    limit is eight times the robust noise of the same comparison or of second differences. A
+    monotone stretch has no departure at all, however steep: a decay and a step are never glitches.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        Samples in order of time.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True where a sample is a glitch.
+
+    """
+    glitch = np.zeros(value.size, dtype=np.bool_)
+    floor = _resolution(value)
+    for scale in _SCALES:
+        blocks = value.size // scale
+        if blocks <= 4 * _HALF_WIDTH:
+            break
+        body = value[: blocks * scale].reshape(blocks, scale)
+        middle = np.partition(body, scale // 2, axis=1)[:, scale // 2] if scale > 1 else value
+        outlying = _outlying(middle, floor)
+        if scale > 1 and outlying.any():
+            # A burst seldom ends where a block does.
+            outlying[1:] |= outlying[:-1].copy()
+            outlying[:-1] |= outlying[1:].copy()
+        glitch[: blocks * scale] |= np.repeat(outlying, scale)
+    return glitch
+
+
+def _outlying(value: FloatArray, floor: float) -> NDArray[np.bool_]:
+    """Return which values depart from the running median by more than the limit."""
+    head = 2.0 * value[0] - value[_HALF_WIDTH:0:-1]
+    tail = 2.0 * value[-1] - value[-2 : -_HALF_WIDTH - 2 : -1]
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.concatenate((head, value, tail)), 2 * _HALF_WIDTH + 1
+    )
+    running = np.partition(windows, _HALF_WIDTH, axis=1)[:, _HALF_WIDTH]
+    departure = np.abs(value - running)
+    # On a slope steeper than the noise most departures are nil; second differences still see it.
+    curvature = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
+    typical = max(float(np.median(departure)), float(np.median(curvature)) / math.sqrt(6.0))
+    limit = max(_SIGMAS * NORMAL_FROM_MAD * typical, floor)
+    return np.asarray(departure > limit)
+
+
+def _resolution(value: FloatArray) -> float:
+    """Return the departure that the steps of a quantised record make by themselves."""
+    if value.size < 2:
+        return 0.0
+    steps = np.abs(np.diff(value))
+    quantum = float(np.min(steps, where=steps > 0.0, initial=np.inf))
+    span = float(np.ptp(np.quantile(value, (0.05, 0.95))))
+    rounding = 1e-6 * span + 1e-12 * float(np.abs(value).max())
+    return max(2.0 * quantum if quantum < span else 0.0, rounding)

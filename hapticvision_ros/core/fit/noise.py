@@ -1,0 +1,134 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The noise of a sample of force and of displacement height.
+
+Two looks, of which the larger counts: the scatter about a straight line over the whole record
+before contact (which sees slow noise, but not what contact adds), and the scatter about straight
+lines over 16 samples at a time during hold or recovery (which sees contact, but not slow noise).
+Both by the median over pieces, which glitches do not move.
+
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import Final
+
+import numpy as np
+
+from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
+from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+
+_WINDOW: Final = 16
+_MIN_BASELINE: Final = 32
+_CHI2_MEDIAN_14: Final = 13.339
+"""Median of chi squared with `_WINDOW` - 2 degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """One standard deviation of a sample of `force` [N] and of `height` [m]."""
+
+    force: Estimate
+    height: Estimate
+
+
+def estimate_noise(trial: Trial, segmentation: Segmentation) -> Noise:
+    """
+    Estimate the noise of one trial.
+
+    Parameters
+    ----------
+    trial : Trial
+        What was measured.
+    segmentation : Segmentation
+        Its phases.
+
+    Returns
+    -------
+    Noise
+        Unknown with a reason where there are too few samples, or no noise is visible at all.
+
+    """
+    touch, hold = segmentation.t_contact, segmentation.t_hold
+    released = segmentation.t_release
+    end = segmentation.t_end
+    baseline_end = trial.force.t[0] if touch is None else touch - 0.02 * (touch - trial.force.t[0])
+    quiet = (
+        trial.force.between(hold, end if released is None else released)
+        if hold is not None
+        else trial.force.between(0.0, end)
+    )
+    force = _larger(trial.force.between(-math.inf, baseline_end), quiet, 'force')
+    height = trial.displacement_height
+    if height is None:
+        missing = 'the displacement height was not recorded'
+        return Noise(force, Estimate.unknown(missing))
+    free = segmentation.t_loss if segmentation.t_loss is not None else released
+    rest = height if free is None else height.between(free, end)
+    return Noise(
+        force, _larger(height.between(-math.inf, baseline_end), rest, 'displacement height')
+    )
+
+
+def pool_noise(noises: Sequence[Noise]) -> Noise:
+    """Return the noise of several trials on one device: the median of those that are known."""
+    return Noise(
+        _median(tuple(noise.force for noise in noises)),
+        _median(tuple(noise.height for noise in noises)),
+    )
+
+
+def _median(estimates: tuple[Estimate, ...]) -> Estimate:
+    """Return the median of the known estimates, or the first reason."""
+    known = [estimate.value for estimate in estimates if estimate.value is not None]
+    if not known:
+        return estimates[0] if estimates else Estimate.unknown('there is no trial')
+    return Estimate(float(np.median(known)))
+
+
+def _larger(baseline: Signal, quiet: Signal, what: str) -> Estimate:
+    """Return the larger of the two looks at a signal's noise."""
+    looks = []
+    if len(baseline) >= _MIN_BASELINE:
+        line = _line_residual(baseline.t, baseline.value)
+        looks.append(NORMAL_FROM_MAD * float(np.median(np.abs(line))))
+    if len(quiet) >= 2 * _WINDOW:
+        looks.append(_local(quiet))
+    if not looks:
+        return Estimate.unknown(f'there are too few samples of the {what} to see its noise')
+    if max(looks) <= 0.0:
+        return Estimate.unknown(f'the {what} shows no noise at all')
+    return Estimate(max(looks))
+
+
+def _line_residual(t: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the residual of a straight line."""
+    centred = t - t.mean()
+    slope = float(centred @ value) / float(centred @ centred)
+    return np.asarray(value - value.mean() - slope * centred, dtype=np.float64)
+
+
+def _local(signal: Signal) -> float:
+    """Return the scatter about straight lines over short windows."""
+    count = len(signal) // _WINDOW * _WINDOW
+    value = signal.value[:count].reshape(-1, _WINDOW)
+    t = signal.t[:count].reshape(-1, _WINDOW)
+    t = t - t.mean(axis=1, keepdims=True)
+    value = value - value.mean(axis=1, keepdims=True)
+    slope = np.sum(t * value, axis=1) / np.sum(t**2, axis=1)
+    squares = np.sum((value - slope[:, np.newaxis] * t) ** 2, axis=1)
+    return math.sqrt(float(np.median(squares)) / _CHI2_MEDIAN_14)

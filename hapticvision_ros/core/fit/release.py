@@ -1,0 +1,85 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The release of a trial: how fast the tool left, and from when on the object was free."""
+
+import math
+
+import numpy as np
+
+from hapticvision_ros.core.fit.exponential import MIN_SAMPLES
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
+
+
+def start_of_recovery(
+    trial: Trial, segmentation: Segmentation, released: float
+) -> tuple[float | None, str]:
+    """Return when the recovery starts and a caution, or None and why there is no recovery."""
+    lost = segmentation.t_loss
+    only_tool = trial.displacement_source == 'tool'
+    if lost is not None and not only_tool:
+        return lost, ''
+    record = trial.force.between(released, segmentation.t_end)
+    if len(record) < MIN_SAMPLES:
+        return None, 'the record ends with the hold'
+    force = record.value - segmentation.force_zero
+    late = force[force.size // 2 :]
+    kept = float(np.median(late))
+    spread = float(np.quantile(late, 0.84) - np.quantile(late, 0.16)) / 2.0
+    before = trial.force.between(segmentation.t_hold or released, released)
+    held = float(np.median(before.value)) - segmentation.force_zero if len(before) else kept
+    if kept <= max(3.0 * spread, 0.005 * held):
+        return None, (
+            'only the tool was recorded, and it left the object'
+            if only_tool
+            else 'the loss of contact was not found'
+        )
+    if kept > 0.5 * held:
+        return None, 'the tool did not withdraw'
+    unsteady = np.flatnonzero(np.abs(force - kept) > max(0.5 * kept, 3.0 * spread))
+    start = float(record.t[min(unsteady[-1] + 1, force.size - 1)]) if unsteady.size else released
+    if segmentation.t_end - start < 0.2 * (segmentation.t_end - released):
+        return None, 'the tool was not kept on the object steadily while it recovered'
+    return start, (
+        f'The tool was kept on the recovering object with {kept:.2g} N; eq. (10) assumes none.'
+    )
+
+
+def pressed_in(trial: Trial, segmentation: Segmentation, released: float) -> tuple[float, float]:
+    """Return H(T_e) and its standard error [m]."""
+    since = max(released - 1.0, segmentation.t_hold or released - 1.0)
+    if segmentation.contact_height is not None:
+        record = trial.tool_height.between(since, released)
+        if len(record):
+            error = float(record.value.std()) / math.sqrt(len(record))
+            return segmentation.contact_height - float(np.median(record.value)), error
+    height = trial.displacement_height
+    if height is not None:
+        record = height.between(since, released)
+        if len(record):
+            error = float(record.value.std()) / math.sqrt(len(record))
+            return float(np.median(record.value)), error
+    return math.nan, math.inf
+
+
+def withdrawal_speed(trial: Trial, released: float, lost: float) -> float:
+    """Return the mean speed of the tool between T_e and the loss of contact [m/s]."""
+    duration = max(lost - released, 2.0 * sampling_interval(trial.tool_height))
+    rise = trial.tool_height.at(np.array([released, released + duration]))
+    return max(float(rise[1] - rise[0]) / duration, 0.0)
+
+
+def sampling_interval(signal: Signal) -> float:
+    """Return the median time between samples [s]."""
+    return float(np.median(np.diff(signal.t))) if len(signal) > 1 else 0.0
