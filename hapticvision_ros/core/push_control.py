@@ -1,0 +1,438 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The push control law: approach, push, hold, release, recover, within limits.
+
+A pure state machine: `PushControl.step` gets the time and the latest readings and returns the
+speed to command. Whatever is wrong ends in `aborted`: the tool stops, or retracts while its
+height is known.
+"""
+
+from dataclasses import dataclass, fields
+from math import inf, isfinite
+from typing import Final, Literal, NamedTuple
+
+from hapticvision_ros.core.errors import InputError
+
+type PushPhase = Literal['approach', 'push', 'hold', 'release', 'recover', 'done', 'aborted']
+
+TOUCH_READINGS: Final = 2
+"""Readings in a row above the touch force that count as touch: one may be a glitch."""
+
+RETRACT_PATIENCE: Final = 2.0
+"""How long an aborted push waits for the arm's height to come back, to retract [s]."""
+
+
+class Reading(NamedTuple):
+    """A value and when it was received [s], by the clock that `PushControl.step` is given."""
+
+    t: float
+    value: float
+
+
+class Command(NamedTuple):
+    """A speed along the push [m/s], positive toward the object, and the phase it belongs to."""
+
+    push_velocity: float
+    phase: PushPhase
+
+
+@dataclass(frozen=True, slots=True)
+class PushGoal:
+    """
+    One push.
+
+    Parameters
+    ----------
+    push_speed : float
+        Speed while the tool touches and pushes [m/s].
+    depth : float
+        How far the tool pushes on from the touch [m].
+    hold_time, recover_time : float
+        How long the tool holds its depth, and waits above the object after the release [s].
+    release_speed : float
+        Speed of the withdrawal [m/s].
+    approach_speed : float
+        Speed in air, down to `approach_gap` above the surface where its height is known [m/s];
+        else the approach is made at `push_speed`.
+    approach_gap : float
+        Distance from the surface at which the approach slows down to `push_speed` [m].
+    clearance : float
+        How far above the touch the release ends [m], so that the range sensor sees the dent.
+    touch_force : float
+        Rise of the force above its zero that counts as touch [N].
+    zero_time : float
+        How long the force's zero is averaged before the tool moves [s].
+    surface_height : float or None
+        Height of the surface above the support plane at the contact point [m], if planned.
+
+    """
+
+    push_speed: float
+    depth: float
+    hold_time: float
+    recover_time: float
+    release_speed: float
+    approach_speed: float
+    approach_gap: float
+    clearance: float
+    touch_force: float
+    zero_time: float
+    surface_height: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PushLimits:
+    """
+    What no push may exceed.
+
+    Parameters
+    ----------
+    max_force : float
+        Largest magnitude of the contact force, as read [N].
+    max_speed : float
+        Largest speed of the tool [m/s].
+    max_depth : float
+        Largest depth from the touch [m].
+    lowest_height, highest_height : float
+        Range of the tool tip above the support plane [m].
+    max_duration : float
+        Longest time from the start to the end of a push [s].
+    stale_time : float
+        A reading older than this is no reading [s].
+    stop_lead : float
+        Time that the tool goes on after a stop command, in effect: the latency of the loop and
+        half the braking time [s].
+
+    """
+
+    max_force: float
+    max_speed: float
+    max_depth: float
+    lowest_height: float
+    highest_height: float
+    max_duration: float
+    stale_time: float
+    stop_lead: float
+
+
+def check_goal(goal: PushGoal, limits: PushLimits, tool_height: float) -> None:
+    """
+    Refuse a push that cannot be made within the limits.
+
+    Parameters
+    ----------
+    goal : PushGoal
+        What is asked for.
+    limits : PushLimits
+        What is allowed.
+    tool_height : float
+        Height of the tool tip at the start [m].
+
+    Raises
+    ------
+    InputError
+        With the number that does not fit.
+
+    """
+    for field in fields(goal):
+        value = getattr(goal, field.name)
+        if field.name == 'surface_height' and value is None:
+            continue
+        if not isfinite(value) or value < 0.0:
+            raise InputError(f'A push needs a {field.name} of zero or more, not {value}.')
+    for name in ('push_speed', 'release_speed', 'approach_speed'):
+        speed = getattr(goal, name)
+        if not 0.0 < speed <= limits.max_speed:
+            raise InputError(
+                f'The {name} is {speed * 1e3:.4g} mm/s; the cell allows more than 0 and up to '
+                f'{limits.max_speed * 1e3:.4g} mm/s.'
+            )
+    if not 0.0 < goal.depth <= limits.max_depth:
+        raise InputError(
+            f'The depth is {goal.depth * 1e3:.4g} mm; the cell allows more than 0 and up to '
+            f'{limits.max_depth * 1e3:.4g} mm.'
+        )
+    if not 0.0 < goal.touch_force < limits.max_force:
+        raise InputError(
+            f'The touch_force is {goal.touch_force:.4g} N; it must lie between 0 and the '
+            f'max_force of {limits.max_force:.4g} N.'
+        )
+    if not limits.lowest_height <= tool_height <= limits.highest_height:
+        raise InputError(
+            f'The tool is at {tool_height * 1e3:.4g} mm, outside of the workspace of '
+            f'{limits.lowest_height * 1e3:.4g} to {limits.highest_height * 1e3:.4g} mm: bring it '
+            'back first.'
+        )
+    air = None
+    if goal.surface_height is not None:
+        air = tool_height - goal.surface_height
+        if air <= 0.0:
+            raise InputError(
+                f'The tool is at {tool_height * 1e3:.4g} mm, below the surface at '
+                f'{goal.surface_height * 1e3:.4g} mm: raise it before the push.'
+            )
+        deepest = goal.surface_height - goal.depth
+        if deepest < limits.lowest_height:
+            raise InputError(
+                f'A depth of {goal.depth * 1e3:.4g} mm ends at a height of {deepest * 1e3:.4g} '
+                f'mm, below the lowest allowed {limits.lowest_height * 1e3:.4g} mm.'
+            )
+        if goal.surface_height + goal.clearance > limits.highest_height:
+            raise InputError(
+                f'A clearance of {goal.clearance * 1e3:.4g} mm ends above the highest allowed '
+                f'{limits.highest_height * 1e3:.4g} mm.'
+            )
+    duration = expected_duration(goal, air)
+    if duration > limits.max_duration:
+        raise InputError(
+            f'The push takes about {duration:.4g} s; the cell allows {limits.max_duration:.4g} s.'
+        )
+
+
+def expected_duration(goal: PushGoal, air: float | None) -> float:
+    """
+    Return about how long a push takes.
+
+    Parameters
+    ----------
+    goal : PushGoal
+        The push.
+    air : float or None
+        Distance between tool and surface at the start [m], if known.
+
+    Returns
+    -------
+    float
+        Duration from start to done [s]; a lower bound where the distance is not known.
+
+    """
+    approach = 0.0
+    if air is not None:
+        slow = min(air, goal.approach_gap)
+        approach = slow / goal.push_speed + (air - slow) / goal.approach_speed
+    return (
+        goal.zero_time
+        + approach
+        + goal.depth / goal.push_speed
+        + goal.hold_time
+        + (goal.depth + goal.clearance) / goal.release_speed
+        + goal.recover_time
+    )
+
+
+class PushControl:
+    """
+    The state of one push.
+
+    Parameters
+    ----------
+    goal : PushGoal
+        What to do.
+    limits : PushLimits
+        What not to exceed.
+    t : float
+        Time of the start [s].
+    tool_height : float
+        Height of the tool tip at the start [m]; an aborted push retracts to it, or to the
+        clearance above the touch if that is higher.
+
+    Raises
+    ------
+    InputError
+        If the goal does not fit the limits.
+
+    Attributes
+    ----------
+    phase : str
+        One of the contract's phases.
+    reason : str or None
+        Why the push was aborted, one sentence.
+
+    """
+
+    def __init__(self, goal: PushGoal, limits: PushLimits, t: float, tool_height: float) -> None:
+        check_goal(goal, limits, tool_height)
+        self.phase: PushPhase = 'approach'
+        self.reason: str | None = None
+        self._goal = goal
+        self._limits = limits
+        self._started = t
+        self._phase_started = t
+        self._retract_height = tool_height
+        self._touch_height: float | None = None
+        self._candidate_height = tool_height
+        self._touch_readings = 0
+        self._last_force_t = -inf
+        self._zero_sum = 0.0
+        self._zero_count = 0
+        self._at_rest = False
+
+    @property
+    def finished(self) -> bool:
+        """Whether the push has ended and the tool stands still."""
+        return self._at_rest
+
+    @property
+    def touch_height(self) -> float | None:
+        """Height of the tool tip at the touch [m], or None before it."""
+        return self._touch_height
+
+    def abort(self, reason: str, t: float) -> None:
+        """End the push because of `reason`: the next steps stop and retract the tool."""
+        if self.phase in ('done', 'aborted'):
+            return
+        self.reason = reason
+        self._enter('aborted', t)
+
+    def step(self, t: float, tool: Reading | None, force: Reading | None) -> Command:
+        """
+        Advance to time `t` and return what to command.
+
+        Parameters
+        ----------
+        t : float
+            Time [s], not before the last step's.
+        tool : Reading or None
+            Latest height of the tool tip [m].
+        force : Reading or None
+            Latest contact force [N], positive in compression, with the load cell's zero.
+
+        Returns
+        -------
+        Command
+            Speed and phase; a positive speed only in `approach` and `push`.
+
+        """
+        height = self._fresh(tool, t)
+        contact_force = self._fresh(force, t)
+        if self.phase not in ('done', 'aborted'):
+            self._check(t, height, contact_force)
+        if height is None:
+            # Without its height the tool may neither push nor retract.
+            if self.phase == 'aborted' and t - self._phase_started > RETRACT_PATIENCE:
+                self._at_rest = True
+            return Command(0.0, self.phase)
+        speed = self._advance(t, height, force)
+        return Command(speed, self.phase)
+
+    def _fresh(self, reading: Reading | None, t: float) -> float | None:
+        if reading is None or not isfinite(reading.value):
+            return None
+        return reading.value if t - reading.t <= self._limits.stale_time else None
+
+    def _check(self, t: float, height: float | None, force: float | None) -> None:
+        limits = self._limits
+        if height is None:
+            self.abort("The arm's height is missing, stale or not a number.", t)
+        elif force is None:
+            self.abort('The contact force is missing, stale or not a number.', t)
+        elif abs(force) > limits.max_force:
+            self.abort(
+                f'The contact force of {force:.4g} N exceeds the limit of '
+                f'{limits.max_force:.4g} N.',
+                t,
+            )
+        elif t - self._started > limits.max_duration:
+            self.abort(f'The push takes longer than {limits.max_duration:.4g} s.', t)
+
+    def _advance(self, t: float, height: float, force: Reading | None) -> float:
+        goal = self._goal
+        match self.phase:
+            case 'approach' if force is not None:
+                return self._approach(t, height, force)
+            case 'push':
+                return self._push(t, height)
+            case 'hold':
+                if t - self._phase_started < goal.hold_time:
+                    return 0.0
+                self._enter('release', t)
+                return -goal.release_speed
+            case 'release':
+                if height < self._release_height():
+                    return -goal.release_speed
+                self._enter('recover', t)
+                return 0.0
+            case 'recover':
+                if t - self._phase_started >= goal.recover_time:
+                    self._enter('done', t)
+                    self._at_rest = True
+                return 0.0
+            case 'aborted' if not self._at_rest:
+                if height < self._release_height():
+                    return -goal.release_speed
+                self._at_rest = True
+                return 0.0
+            case _:
+                return 0.0
+
+    def _approach(self, t: float, height: float, force: Reading) -> float:
+        goal = self._goal
+        new = force.t > self._last_force_t
+        self._last_force_t = max(self._last_force_t, force.t)
+        if t - self._started < goal.zero_time or not self._zero_count:
+            if new:
+                self._zero_sum += force.value
+                self._zero_count += 1
+            return 0.0
+        if new:
+            zero = self._zero_sum / self._zero_count
+            if force.value - zero > goal.touch_force:
+                if not self._touch_readings:
+                    self._candidate_height = height
+                self._touch_readings += 1
+            else:
+                self._touch_readings = 0
+        if self._touch_readings >= TOUCH_READINGS:
+            self._touch_height = self._candidate_height
+            self._enter('push', t)
+            return self._push(t, height)
+        speed = goal.push_speed
+        if goal.surface_height is not None and (
+            height - goal.approach_speed * self._limits.stop_lead
+            > goal.surface_height + goal.approach_gap
+        ):
+            speed = goal.approach_speed
+        return self._downward(t, height, speed, 'without touching anything')
+
+    def _push(self, t: float, height: float) -> float:
+        goal = self._goal
+        assert self._touch_height is not None
+        if height - goal.push_speed * self._limits.stop_lead <= self._touch_height - goal.depth:
+            self._enter('hold', t)
+            return 0.0
+        return self._downward(t, height, goal.push_speed, 'before the depth was reached')
+
+    def _downward(self, t: float, height: float, speed: float, how: str) -> float:
+        """Return `speed`, unless the tool could then not stop above its lowest height."""
+        if height - speed * self._limits.stop_lead > self._limits.lowest_height:
+            return speed
+        self.abort(
+            f'The tool came to its lowest height of {self._limits.lowest_height * 1e3:.4g} mm '
+            f'{how}.',
+            t,
+        )
+        return 0.0
+
+    def _release_height(self) -> float:
+        height = -inf if self.phase == 'release' else self._retract_height
+        if self._touch_height is not None:
+            height = max(height, self._touch_height + self._goal.clearance)
+        lead = self._goal.release_speed * self._limits.stop_lead
+        return min(height, self._limits.highest_height) - lead
+
+    def _enter(self, phase: PushPhase, t: float) -> None:
+        self.phase = phase
+        self._phase_started = t
