@@ -16,7 +16,9 @@
 """
 CDR, the byte format of ROS 2 messages, for the few types that a trial holds.
 
-Encoding packs one message at a time with a layout that is compiled once.
+Encoding packs one message at a time with a layout that is compiled once. Decoding takes all
+messages of a topic that lie in one buffer at once, so that a bag with 200,000 samples costs a few
+array operations and not 200,000 calls.
 
 References
 ----------
@@ -25,14 +27,20 @@ References
 
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 import struct
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.records import PointArray
+from hapticvision_ros.core.records import FloatArray, PointArray
+
+type ByteArray = NDArray[np.uint8]
+type IntArray = NDArray[np.int64]
+type BoolArray = NDArray[np.bool_]
 
 ENCAPSULATION: Final = b'\x00\x01\x00\x00'
 """Plain CDR, little endian; alignment counts from behind these four bytes."""
@@ -172,3 +180,154 @@ def encode_cloud(stamp_ns: int, frame_id: str, xyz: PointArray) -> bytes:
     middle = _cloud_middle(len(encoder.data), height, width)
     is_dense = bytes([bool(np.isfinite(points).all())])
     return b''.join((ENCAPSULATION, encoder.data, middle, points.tobytes(), is_dense))
+
+
+def _rows(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
+    """Return `size` bytes from each start, shape (n, size)."""
+    rows: ByteArray = data[starts[:, np.newaxis] + np.arange(size)]
+    return rows
+
+
+def _plain(data: ByteArray, starts: IntArray, sizes: IntArray, minimum: int) -> BoolArray:
+    """Tell which messages are plain CDR of at least `minimum` bytes."""
+    plain = sizes >= minimum
+    heads = _rows(data, starts[plain], 2)
+    plain[plain] = (heads[:, 0] == 0) & (heads[:, 1] <= 1)
+    return plain
+
+
+def _by_byte_order(
+    data: ByteArray, starts: IntArray, readable: BoolArray
+) -> Iterator[tuple[str, IntArray]]:
+    """Yield numpy's sign of each byte order and the indices of the readable messages in it."""
+    index = np.flatnonzero(readable)
+    little = data[starts[index] + 1] == 1
+    yield '<', index[little]
+    if not little.all():
+        yield '>', index[~little]
+
+
+def decode_float64(
+    data: ByteArray, starts: IntArray, sizes: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """
+    Return the values of the ``std_msgs/msg/Float64`` that lie in a buffer.
+
+    Parameters
+    ----------
+    data : ndarray of uint8
+        The buffer.
+    starts, sizes : ndarray of int, shape (n,)
+        Where each message begins, encapsulation header included, and its length [bytes].
+
+    Returns
+    -------
+    value : ndarray, shape (n,)
+        The numbers; NaN where a message cannot be read.
+    readable : ndarray of bool, shape (n,)
+        Which messages could be read.
+
+    """
+    value = np.full(starts.size, np.nan)
+    readable = _plain(data, starts, sizes, _FLOAT64.size)
+    for order, index in _by_byte_order(data, starts, readable):
+        value[index] = _rows(data, starts[index] + 4, 8).view(order + 'f8')[:, 0]
+    return value, readable
+
+
+def decode_wrench(
+    data: ByteArray, starts: IntArray, sizes: IntArray
+) -> tuple[IntArray, FloatArray, BoolArray]:
+    """
+    Return stamps and forces of the ``geometry_msgs/msg/WrenchStamped`` that lie in a buffer.
+
+    Parameters
+    ----------
+    data : ndarray of uint8
+        The buffer.
+    starts, sizes : ndarray of int, shape (n,)
+        Where each message begins, encapsulation header included, and its length [bytes].
+
+    Returns
+    -------
+    stamp : ndarray of int64, shape (n,)
+        Header stamps [ns since the epoch]; 0 where a message cannot be read.
+    force : ndarray, shape (n, 3)
+        Forces [N]; NaN where a message cannot be read.
+    readable : ndarray of bool, shape (n,)
+        Which messages could be read.
+
+    """
+    stamp = np.zeros(starts.size, np.int64)
+    force = np.full((starts.size, 3), np.nan)
+    readable = _plain(data, starts, sizes, 16)
+    for order, index in _by_byte_order(data, starts, readable):
+        begin = starts[index] + 4
+        head = _rows(data, begin, 12)
+        sec = head[:, :4].view(order + 'i4')[:, 0]
+        nanosec = head[:, 4:8].view(order + 'u4')[:, 0]
+        name_size = head[:, 8:].view(order + 'u4')[:, 0].astype(np.int64)
+        body = (12 + name_size + 7) // 8 * 8
+        whole = body + 48 <= sizes[index] - 4
+        readable[index[~whole]] = False
+        index, begin, body = index[whole], begin[whole], body[whole]
+        stamp[index] = sec[whole].astype(np.int64) * NS_PER_S + nanosec[whole]
+        force[index] = _rows(data, begin + body, 24).view(order + 'f8')
+    return stamp, force, readable
+
+
+class Decoder:
+    """
+    Reads CDR values one after the other from one message.
+
+    Parameters
+    ----------
+    message : bytes-like
+        The message with its encapsulation header.
+
+    Raises
+    ------
+    ValueError
+        If the message is not plain CDR; and by every method, if it ends too early.
+
+    """
+
+    def __init__(self, message: memoryview) -> None:
+        if len(message) < 4 or message[0] != 0 or message[1] > 1:
+            raise ValueError('not plain CDR')
+        self._data = message
+        self.order: Literal['<', '>'] = '<' if message[1] else '>'
+        self.position = 4
+
+    def number(self, code: Literal['B', 'i', 'I']) -> int:
+        """Return the integer at the next aligned place."""
+        size = struct.calcsize(code)
+        start = self.position + _padding(self.position - 4, size)
+        self.position = start + size
+        if self.position > len(self._data):
+            raise ValueError('the message ends too early')
+        value: int = struct.unpack_from(self.order + code, self._data, start)[0]
+        return value
+
+    def string(self) -> str:
+        """Return the text at the next aligned place."""
+        start = self.skip(self.number('I'))
+        return bytes(self._data[start : self.position]).rstrip(b'\x00').decode(errors='replace')
+
+    def skip(self, size: int) -> int:
+        """Step over `size` bytes; return where they begin."""
+        start = self.position
+        self.position += size
+        if self.position > len(self._data):
+            raise ValueError('the message ends too early')
+        return start
+
+    def stamp(self) -> int:
+        """Return a ``builtin_interfaces/msg/Time`` [ns since the epoch]."""
+        sec = self.number('i')
+        return sec * NS_PER_S + self.number('I')
+
+
+def decode_string(message: memoryview) -> str:
+    """Return the text of a ``std_msgs/msg/String``; raise ValueError if it cannot be read."""
+    return Decoder(message).string()

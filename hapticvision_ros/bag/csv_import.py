@@ -208,6 +208,21 @@ class _Header:
     columns: tuple[Column, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """
+    The cells of the chosen columns: values, shape (rows, columns), and the rows' line numbers.
+
+    `texts` holds, by line number and column, what stood where there is no number.
+    """
+
+    values: FloatArray
+    numbers: NDArray[np.int64]
+    decimal: str
+    texts: Mapping[tuple[int, int], str]
+    warnings: list[str]
+
+
 def _either(names: Iterable[str]) -> str:
     *rest, last = names
     return f'{", ".join(rest)} or {last}' if rest else last
@@ -367,17 +382,19 @@ def _careful_values(
     numbers: NDArray[np.int64],
     header: _Header,
     places: list[int],
-) -> tuple[FloatArray, str, dict[tuple[int, int], str], list[str]]:
-    """Return the cells of any file, NaN where one is no number; decimal; those texts; warnings."""
+) -> _Cells:
+    """Return the cells of any file, NaN where one is no number."""
     table: list[list[str]] = []
     wide = []
+    kept = []
     for row, number in zip(rows, numbers.tolist(), strict=True):
         cells = _cells(row, header.delimiter)
         if any(cells[len(header.names) :]):
             wide.append(number)
-            cells = []
+            continue
         cells += [''] * (len(header.names) - len(cells))
         table.append([cells[place] for place in places])
+        kept.append(number)
     if len(wide) > MAX_LOST_SHARE * len(rows):
         raise InputError(
             f'{path}, line {wide[0]}: more cells than the {len(header.names)} columns of the '
@@ -386,20 +403,20 @@ def _careful_values(
         )
     warnings = []
     if wide:
-        warnings.append(_told(path, wide, 'has more cells than the header', 'row'))
+        warnings.append(_told(path, wide, 'more cells than the header has', 'row'))
     point = any('.' in cell for cells in table for cell in cells)
     comma = any(',' in cell for cells in table for cell in cells)
     decimal = ',' if comma and not point else '.'
     values = np.full((len(table), len(places)), math.nan)
     texts: dict[tuple[int, int], str] = {}
-    for i, cells in enumerate(table):
+    for i, (number, cells) in enumerate(zip(kept, table, strict=True)):
         for j, cell in enumerate(cells):
             text = cell.replace(',', '.') if decimal == ',' else cell
             if _NUMBER.fullmatch(text):
                 values[i, j] = float(text)
             elif cell:
-                texts[int(numbers[i]), j] = cell[:40]
-    return values, decimal, texts, warnings
+                texts[number, j] = cell[:40]
+    return _Cells(values, np.array(kept, dtype=np.int64), decimal, texts, warnings)
 
 
 def _told(path: Path, lines: Sequence[int], what: str, lost: str) -> str:
@@ -420,7 +437,7 @@ def _longest_rising(stamps: Sequence[int]) -> list[int]:
         if place == len(tails):
             tails.append(stamp)
             ends.append(i)
-        else:
+        elif tails[place] != stamp:
             tails[place] = stamp
             ends[place] = i
     kept = []
@@ -450,6 +467,34 @@ def _rising(
         )
     what = 'time does not increase'
     return kept, [_told(path, numbers[lost].tolist(), what, 'row')]
+
+
+def _strike_unusable(path: Path, cells: _Cells, columns: Sequence[Column]) -> list[str]:
+    """Turn times that no stamp can hold into NaN; tell of all cells that are not finite."""
+    values, texts, numbers = cells.values, cells.texts, cells.numbers
+    time = [column.quantity for column in columns].index('time')
+    values[~(np.abs(values[:, time]) <= MAX_STAMP_NS / 1e9), time] = math.nan
+    usable = np.isfinite(values)
+    wordy = ~usable.any(axis=1)
+    if wordy.all():
+        wordy[:] = False
+    warnings = []
+    if wordy.any():
+        warnings.append(_told(path, numbers[wordy].tolist(), 'no usable number', 'row'))
+    for j, column in enumerate(columns):
+        lost = numbers[~(usable[:, j] | wordy)].tolist()
+        if not lost:
+            continue
+        cell = f"'{texts[lost[0], j]}'" if (lost[0], j) in texts else 'a cell'
+        what = f"{cell} under '{column.header}' is not a usable number"
+        if column.quantity in NEEDED and not usable[:, j].any():
+            raise InputError(
+                f'{path}, line {lost[0]}: {what}, nor is any other cell of this column; write '
+                'plain numbers without thousands separators.'
+            )
+        kind = 'row' if column.quantity == 'time' else 'sample'
+        warnings.append(_told(path, lost, what, kind))
+    return warnings
 
 
 def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
@@ -497,33 +542,22 @@ def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
     if not rows:
         raise InputError(f'{path} has a header and no rows: there is nothing to import.')
     places = [header.names.index(column.header) for column in header.columns]
-    decimal, warnings = '.', list[str]()
-    texts: Mapping[tuple[int, int], str] = {}
     values = _fast_values(rows, header, places)
     if values is None:
-        values, decimal, texts, warnings = _careful_values(path, rows, numbers, header, places)
-    for j, column in enumerate(header.columns):
-        lost = numbers[~np.isfinite(values[:, j])].tolist()
-        if lost:
-            cell = f"'{texts[lost[0], j]}'" if (lost[0], j) in texts else 'an empty cell or NaN'
-            what = f"{cell} under '{column.header}' is not a number"
-            if len(lost) == len(rows):
-                raise InputError(
-                    f'{path}, line {lost[0]}: {what}, and no other cell of this column is one; '
-                    'write plain numbers without thousands separators.'
-                )
-            kind = 'row' if column.quantity == 'time' else 'sample'
-            warnings.append(_told(path, lost, what, kind))
-    values *= [column.scale for column in header.columns]
-    series = {column.quantity: values[:, j] for j, column in enumerate(header.columns)}
-    signals, faults = _signals(path, series, numbers)
+        cells = _careful_values(path, rows, numbers, header, places)
+    else:
+        cells = _Cells(values, numbers, '.', {}, [])
+    cells.values[:] *= [column.scale for column in header.columns]
+    warnings = cells.warnings + _strike_unusable(path, cells, header.columns)
+    series = {column.quantity: cells.values[:, j] for j, column in enumerate(header.columns)}
+    signals, faults = _signals(path, series, cells.numbers)
     return Measurement(
         signals=signals,
         columns=header.columns,
         row_count=len(rows),
         encoding=encoding,
         delimiter=header.delimiter,
-        decimal=decimal,
+        decimal=cells.decimal,
         sha256=hashlib.sha256(data).hexdigest(),
         warnings=(*warnings, *faults),
     )
@@ -541,7 +575,9 @@ def _signals(
         if quantity == 'time':
             continue
         good = rows[np.isfinite(values[rows])]
-        if good.size < 2 and quantity in NEEDED:
+        if good.size < 2:
+            if quantity not in NEEDED:
+                continue
             raise InputError(
                 f'{path} holds {good.size} usable sample{"s" * (good.size != 1)} of the '
                 f'{quantity}; a trial needs at least two.'
@@ -609,9 +645,7 @@ def import_csv(
             f'{path}: the tool goes {tool.value.max() * 1e3:g} mm deep into an object that is '
             f'{height * 1e3:g} mm high; say its height with --height.'
         )
-    first = min(float(signal.t[0]) for signal in signals.values() if len(signal))
-    last = max(float(signal.t[-1]) for signal in signals.values() if len(signal))
-    start, start_source = _start(path, start_ns, first, last)
+    start, origin, time_zero = _start(path, start_ns, list(signals.values()))
     provenance = {
         'source_file': path.name,
         'source_sha256': measurement.sha256,
@@ -620,13 +654,17 @@ def import_csv(
         'displacement_source': source,
         'original_height_m': f'{height:g}'
         + (' (nominal: the source does not say)' if original_height is None else ''),
-        'time_zero': start_source,
+        'time_zero': time_zero,
         'encoding': measurement.encoding,
         'delimiter': {'\t': 'tab'}.get(measurement.delimiter, measurement.delimiter),
         'decimal_mark': measurement.decimal,
         'rows': str(measurement.row_count),
         'warnings': ' '.join(measurement.warnings),
     }
+
+    def shifted(signal: Signal) -> Signal:
+        return Signal(signal.t - origin, signal.value)
+
     aside = bag.with_name(f'.{bag.name}.replaced')
     if bag.exists():
         shutil.rmtree(aside, ignore_errors=True)
@@ -635,10 +673,10 @@ def import_csv(
         write_signals(
             bag,
             start_ns=start,
-            force=signals['force'],
-            tool_height=Signal(tool.t, height - tool.value),
-            displacement=displacement,
-            extra=[(FORCE_SD, signals['force_sd'])] if 'force_sd' in signals else (),
+            force=shifted(signals['force']),
+            tool_height=shifted(Signal(tool.t, height - tool.value)),
+            displacement=shifted(displacement),
+            extra=[(FORCE_SD, shifted(signals['force_sd']))] if 'force_sd' in signals else (),
             provenance=provenance,
         )
     except BaseException:
@@ -654,17 +692,21 @@ def import_csv(
     )
 
 
-def _start(path: Path, start_ns: int | None, first: float, last: float) -> tuple[int, str]:
-    """Return the epoch of the file's times [ns], and how it is known."""
+def _start(path: Path, start_ns: int | None, signals: Sequence[Signal]) -> tuple[int, float, str]:
+    """Return the epoch [ns] of the file's time [s] that follows it, and how it is known."""
+    first = min(float(signal.t[0]) for signal in signals)
+    last = max(float(signal.t[-1]) for signal in signals)
     if start_ns is not None:
-        start, source = start_ns, 'given'
+        start, origin, source = start_ns, 0.0, 'given'
     elif first * 1e9 >= NOMINAL_START_NS:
-        start, source = 0, 'the times of the source count from the Unix epoch'
+        # From the whole second on, so that the nanoseconds survive in a float.
+        origin = float(math.floor(first))
+        start, source = int(origin) * 10**9, 'the times of the source count from the Unix epoch'
     else:
-        start, source = NOMINAL_START_NS, 'nominal: the source does not say'
-    if start + first * 1e9 < 0 or start + last * 1e9 > MAX_STAMP_NS:
+        start, origin, source = NOMINAL_START_NS, 0.0, 'nominal: the source does not say'
+    if start + (first - origin) * 1e9 < 0 or start + (last - origin) * 1e9 > MAX_STAMP_NS:
         raise InputError(
             f'{path}: times from {first:g} s to {last:g} s do not fit a ROS stamp (1970 to 2038); '
             'check the unit of the time column and --start.'
         )
-    return start, source
+    return start, origin, source

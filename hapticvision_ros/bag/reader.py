@@ -1,0 +1,161 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Reads a trial from a bag of the contract, in whatever state it is, without ROS.
+
+Whatever can be read is read; what had to be left out or repaired is told in the trial's warnings,
+one sentence each. Only a bag from which no trial can be made is refused.
+"""
+
+from pathlib import Path
+from types import MappingProxyType
+
+from hapticvision_ros.bag.bag_files import BagFiles, find_files
+from hapticvision_ros.bag.contract import (
+    DISPLACEMENT_HEIGHT,
+    PHASE,
+    POINTS,
+    PUSH_VELOCITY,
+    TOOL_HEIGHT,
+    WRENCH,
+)
+from hapticvision_ros.bag.mcap_scan import McapScanner
+from hapticvision_ros.bag.streams import CloudStream, NumberStream, TextStream, WrenchStream
+from hapticvision_ros.bag.writer import PROVENANCE
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.records import DisplacementSource, Trial
+
+
+class _Streams:
+    """The six topics of the contract while a bag is read."""
+
+    def __init__(self) -> None:
+        self.force = WrenchStream(WRENCH)
+        self.tool_height = NumberStream(TOOL_HEIGHT)
+        self.displacement = NumberStream(DISPLACEMENT_HEIGHT)
+        self.push_velocity = NumberStream(PUSH_VELOCITY)
+        self.phase = TextStream(PHASE)
+        self.points = CloudStream(POINTS)
+        self.all = (
+            self.force,
+            self.tool_height,
+            self.displacement,
+            self.push_velocity,
+            self.phase,
+            self.points,
+        )
+        self.by_name = {stream.topic.name: stream for stream in self.all}
+
+
+def read_trial(path: Path, *, displacement_from_points: bool = True) -> Trial:
+    """
+    Read a bag of the contract as one trial.
+
+    Parameters
+    ----------
+    path : Path
+        A bare ``.mcap`` file or a rosbag2 directory.
+    displacement_from_points : bool
+        Whether to compute the displacement height from the clouds where it was not recorded;
+        this reads every cloud.
+
+    Returns
+    -------
+    trial : Trial
+        What was measured, with a warning for all that had to be left out or repaired. The clouds
+        stay in the file until they are asked for.
+
+    Raises
+    ------
+    InputError
+        If there is no such bag, or it holds no usable force or no usable tool height.
+
+    """
+    bag = find_files(path)
+    streams = _Streams()
+    warnings = list(bag.warnings)
+    provenance, topics = _scan(path, bag, streams, warnings)
+
+    starts = [first for stream in streams.all if (first := stream.settle_times()) is not None]
+    start_ns = min(starts, default=0)
+    force = streams.force.signal(start_ns)
+    tool_height = streams.tool_height.signal(start_ns)
+    if force is None or tool_height is None:
+        lacking = [
+            stream.why_empty()
+            for stream, signal in ((streams.force, force), (streams.tool_height, tool_height))
+            if signal is None
+        ]
+        present = ', '.join(sorted(topics)) or 'none'
+        raise InputError(
+            f'{path} holds no trial: {"; ".join([*lacking, *warnings])}; '
+            f'topics in the bag: {present}'
+        )
+    if force.t[-1] < tool_height.t[0] or tool_height.t[-1] < force.t[0]:
+        warnings.append('force and tool height do not overlap in time: check the clocks')
+
+    displacement = streams.displacement.signal(start_ns)
+    push_velocity = streams.push_velocity.signal(start_ns)
+    phases = streams.phase.phases(start_ns)
+    clouds = streams.points.clouds(start_ns)
+    for stream in streams.all:
+        warnings += stream.warnings
+    source: DisplacementSource = 'none'
+    if displacement is not None:
+        source = 'tool' if provenance.get('displacement_source') == 'tool' else 'topic'
+    else:
+        warnings.append(
+            f'{DISPLACEMENT_HEIGHT.name} was not recorded: the displacement of the object is '
+            'unknown'
+        )
+    return Trial(
+        name=bag.name,
+        start_ns=start_ns,
+        force=force,
+        tool_height=tool_height,
+        displacement_height=displacement,
+        displacement_source=source,
+        push_velocity=push_velocity,
+        phases=phases,
+        clouds=clouds,
+        warnings=tuple(warnings),
+        provenance=MappingProxyType(provenance),
+    )
+
+
+def _scan(
+    path: Path, bag: BagFiles, streams: _Streams, warnings: list[str]
+) -> tuple[dict[str, str], set[str]]:
+    """Feed the streams from the bag's files; return the provenance and the topics' names."""
+    provenance: dict[str, str] = {}
+    topics: set[str] = set()
+    count = 0
+    for file in bag.files:
+        scanner = McapScanner(file, streams.by_name.keys())
+        try:
+            for batch in scanner.batches():
+                streams.by_name[batch.channel.topic].add(batch)
+        except InputError as error:
+            if len(bag.files) == 1:
+                raise
+            warnings.append(str(error))
+        warnings += scanner.faults
+        provenance |= scanner.metadata.get(PROVENANCE, {})
+        topics |= scanner.counts.keys()
+        count += sum(scanner.counts.values())
+    if bag.message_count not in (None, count):
+        warnings.append(f'metadata.yaml promises {bag.message_count} messages, {count} were found')
+    return provenance, topics
