@@ -281,6 +281,19 @@ class Experiment:
     now : float
         Time of acceptance [s], of a monotonic clock.
 
+    Attributes
+    ----------
+    status : GoalStatus
+        State of the goal.
+    outcomes : list of TrialOutcome
+        How the trials ended that are over.
+    reason : str
+        Why the experiment ends before its time; empty while it goes well.
+    arm_phase : str or None
+        What the arm is doing; None before it has said so.
+    waiting_for : str
+        What the owner waits for in this step, for the sentence on a deadline that is over.
+
     """
 
     def __init__(
@@ -292,6 +305,7 @@ class Experiment:
         self.outcomes: list[TrialOutcome] = []
         self.reason = ''
         self.arm_phase: str | None = None
+        self.waiting_for = ''
         self._deadlines = deadlines
         self._max_failures = max_failures
         self._index = 0
@@ -365,8 +379,9 @@ class Experiment:
 
         """
         self.reason = self.reason or reason
-        if self._step in _RECORDING:
+        if self._step in (*_RECORDING, Step.FINISH):
             self._fail_trial(reason)
+        if self._step in _RECORDING:
             self._enter(Step.STOP, now)
         elif self._step is Step.STOP:
             self._enter(Step.FINISH, now)
@@ -402,8 +417,8 @@ class Experiment:
             return
         limit = self._deadlines.of(self._step, self.goal, self.trial)
         if waited > limit:
-            doing = self._step.name.lower()
-            self.failed(f'trial {self.trial.number}: no end of "{doing}" in {limit:.3g} s', now)
+            doing = self.waiting_for or f'the end of "{self._step.name.lower()}"'
+            self.failed(f'{self.trial.name}: waited {limit:.3g} s for {doing}', now)
 
     def cancel(self, now: float) -> bool:
         """Return whether the goal can still be cancelled, and begin to do so."""
@@ -469,6 +484,7 @@ class Experiment:
             # The latched phase of the push before must not end this one.
             self.arm_phase = None
         self._step = step
+        self.waiting_for = ''
         self.entered = now
 
     def _end(self, now: float) -> None:

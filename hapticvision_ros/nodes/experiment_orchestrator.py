@@ -1,0 +1,635 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Run an experiment: a grid of pushes, each recorded to a bag of its own.
+
+An action server on standard types: a goal is sent with ``/experiment/start`` (its content is the
+node's parameters), ``/experiment/cancel`` ends it, ``/experiment/status`` tells its state,
+``/experiment/feedback`` its progress and ``/experiment/result`` how it ended. What happens when
+something fails is told in `hapticvision_ros.core.experiment.Experiment`.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+import threading
+import time
+from typing import Any, Final
+import uuid
+
+from action_msgs import msg as action
+from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from unique_identifier_msgs.msg import UUID
+
+from hapticvision_ros.bag.contract import (
+    CANCEL_EXPERIMENT,
+    ENABLE,
+    EXPERIMENT_FEEDBACK,
+    EXPERIMENT_RESULT,
+    EXPERIMENT_STATUS,
+    PHASE,
+    PLAN,
+    PUSH,
+    RESET,
+    Service,
+    START_EXPERIMENT,
+    STOP,
+    TARE,
+    TOOL_HEIGHT,
+    TOPICS,
+    WRENCH,
+)
+from hapticvision_ros.core.errors import DeviceError, HapticVisionError
+from hapticvision_ros.core.experiment import (
+    Deadlines,
+    Experiment,
+    ExperimentGoal,
+    GoalStatus,
+    Outcome,
+    Step,
+)
+from hapticvision_ros.nodes.conversions import stamp_from_ns, status_to_message
+from hapticvision_ros.nodes.intake import Intake
+from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.qos import create_client, create_publisher, create_service
+from hapticvision_ros.nodes.recorder import missing_topics, Recording, writable_folder
+from hapticvision_ros.nodes.runtime import CellNode, run
+from hapticvision_ros.sim.devices import place_new_sample
+
+NAME: Final = 'experiment_orchestrator'
+ARM_NODE: Final = 'arm_push_controller'
+
+PARAMETERS: Final = (
+    ParameterSpec('speeds', 'double_array', 'm/s', 'Push speeds of the grid.', 1e-5, 0.1),
+    ParameterSpec('depths', 'double_array', 'm', 'Push depths of the grid.', 1e-5, 0.1),
+    ParameterSpec('repeats', 'integer', '-', 'How often the grid is gone through.', 1, 1000),
+    ParameterSpec('hold_time', 'double', 's', 'How long the tool holds its depth.', 0.1, 36000.0),
+    ParameterSpec(
+        'recover_time', 'double', 's', 'How long the object is watched afterwards.', 0.1, 36000.0
+    ),
+    ParameterSpec(
+        'rest_time', 'double', 's', 'Pause between trials, for a new sample.', 0.0, 36000.0
+    ),
+    ParameterSpec('output_folder', 'string', '-', 'Folder for the bags; made if missing.'),
+    ParameterSpec(
+        'simulated_world_port',
+        'integer',
+        '-',
+        'UDP port of the simulated world that gives each trial a new sample; 0 for a real cell.',
+        0,
+        65535,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'service_deadline',
+        'double',
+        's',
+        'How long the other nodes may take to answer.',
+        0.5,
+        600.0,
+    ),
+    ParameterSpec(
+        'approach_deadline', 'double', 's', 'How long the tool may take to touch.', 0.5, 3600.0
+    ),
+    ParameterSpec(
+        'push_margin',
+        'double',
+        's',
+        'Added to the time that a push must take, before the arm is taken for dead.',
+        0.5,
+        3600.0,
+    ),
+    ParameterSpec(
+        'stream_deadline',
+        'double',
+        's',
+        'How long the load cell or the arm may be silent in a push.',
+        0.1,
+        60.0,
+    ),
+    ParameterSpec(
+        'max_failures',
+        'integer',
+        '-',
+        'How many trials in a row may fail before the experiment is aborted.',
+        1,
+        1000,
+    ),
+    ParameterSpec(
+        'feedback_period', 'double', 's', 'Longest time between two reports.', 0.05, 60.0
+    ),
+    ParameterSpec(
+        'tick_period',
+        'double',
+        's',
+        'Period of the work: taking messages and going on to the next step.',
+        0.005,
+        0.2,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'write_buffer',
+        'integer',
+        'byte',
+        'How much may wait for the disk.',
+        1 << 20,
+        1 << 32,
+    ),
+)
+
+_CLOSE_TIMEOUT: Final = 5.0
+_LEVELS: Final = {
+    GoalStatus.SUCCEEDED: DiagnosticStatus.OK,
+    GoalStatus.CANCELED: DiagnosticStatus.WARN,
+    GoalStatus.ABORTED: DiagnosticStatus.ERROR,
+}
+
+
+class _Call:
+    """One request to a service: waits for the server, sends, and holds the answer."""
+
+    def __init__(self, client: Any, request: Any) -> None:
+        self._client = client
+        self._request = request
+        self._future: Any = None
+
+    @property
+    def server_found(self) -> bool:
+        """Whether the request has gone out."""
+        return self._future is not None
+
+    def answer(self) -> Any:
+        """Return the answer, or None while there is none."""
+        if self._future is None:
+            if not self._client.service_is_ready():
+                return None
+            self._future = self._client.call_async(self._request)
+        return self._future.result() if self._future.done() else None
+
+    def drop(self) -> None:
+        """Forget a request whose answer is no longer waited for."""
+        if self._future is not None and not self._future.done():
+            self._client.remove_pending_request(self._future)
+
+
+class _NewSample:
+    """Puts a new sample into the simulated cell, in a thread, since that may take its time."""
+
+    def __init__(self, port: int, timeout: float, stopping: threading.Event) -> None:
+        self.error: str | None = None
+        self._args = (port, time.monotonic() + timeout, stopping)
+        self._thread = threading.Thread(target=self._place, name='new sample', daemon=True)
+        self._thread.start()
+
+    @property
+    def over(self) -> bool:
+        """Whether it is done, or has failed for good."""
+        return not self._thread.is_alive()
+
+    def _place(self) -> None:
+        port, deadline, stopping = self._args
+        while True:
+            try:
+                place_new_sample(port)
+            except DeviceError as error:
+                # The tool may still be on its way up from an aborted push.
+                if time.monotonic() < deadline and not stopping.wait(0.2):
+                    continue
+                self.error = str(error)
+            return
+
+
+class ExperimentOrchestrator(CellNode):
+    """
+    The node.
+
+    Its thread never waits: a timer takes the messages, asks the answers of the running request,
+    and carries out the step that the experiment's state machine names.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NAME, PARAMETERS)
+        self._experiment: Experiment | None = None
+        self._goal_info: Any = None
+        self._folder = Path()
+        self._recording: Recording | None = None
+        self._call: _Call | None = None
+        self._sample: _NewSample | None = None
+        self._carried_out: tuple[Step, float] | None = None
+        self._last_heard: dict[str, float] = {}
+        self._reported = 0.0
+        self._status: GoalStatus | None = None
+
+        self._intakes = {topic: Intake.of(self, topic, raw=True) for topic in TOPICS}
+        self._clients_of = {
+            service.name: create_client(self, service)
+            for service in (PLAN, TARE, ENABLE, PUSH, STOP, RESET)
+        }
+        self._configure = self.create_client(SetParameters, f'{ARM_NODE}/set_parameters')
+        self._status_publisher = create_publisher(self, EXPERIMENT_STATUS)
+        self._feedback_publisher = create_publisher(self, EXPERIMENT_FEEDBACK)
+        self._result_publisher = create_publisher(self, EXPERIMENT_RESULT)
+        create_service(self, START_EXPERIMENT, self._on_start)
+        create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
+        self._status_publisher.publish(action.GoalStatusArray())
+        # Deadlines count real seconds, also where the other nodes follow a simulated clock.
+        self.create_timer(
+            self.parameters.real('tick_period'),
+            self._on_tick,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+
+    def close(self) -> None:
+        """Stop a running push, and finish its bag."""
+        experiment, recording = self._experiment, self._recording
+        if experiment is not None and not experiment.status.terminal:
+            client = self._clients_of[STOP.name]
+            if client.service_is_ready():
+                client.call_async(Trigger.Request())
+            experiment.reason = 'the orchestrator was stopped'
+        if recording is not None:
+            recording.close(
+                {'outcome': 'aborted', 'reason': 'the orchestrator was stopped'}, '_aborted'
+            )
+            recording.join(_CLOSE_TIMEOUT)
+        super().close()
+
+    # -- the action's services ------------------------------------------------------------------
+
+    def _on_start(self, request: Any, response: Any) -> Any:
+        """Accept or refuse a goal."""
+        response.success = False
+        if self._experiment is not None and not self._experiment.status.terminal:
+            response.message = f'goal {self._goal_id()} is running: cancel it first.'
+            return response
+        values = self.parameters
+        try:
+            goal = ExperimentGoal(
+                push_speeds=values.reals('speeds'),
+                depths=values.reals('depths'),
+                repeats=values.integer('repeats'),
+                hold_time=values.real('hold_time'),
+                recover_time=values.real('recover_time'),
+                rest_time=values.real('rest_time'),
+            )
+            names = [trial.name for trial in goal.trials()]
+            self._folder = writable_folder(values.text('output_folder'), names)
+        except HapticVisionError as error:
+            response.message = str(error)
+            return response
+        deadlines = Deadlines(
+            service=values.real('service_deadline'),
+            approach=values.real('approach_deadline'),
+            margin=values.real('push_margin'),
+        )
+        self._experiment = Experiment(
+            goal, deadlines, values.integer('max_failures'), time.monotonic()
+        )
+        self._goal_info = action.GoalInfo(
+            goal_id=UUID(uuid=list(uuid.uuid4().bytes)), stamp=stamp_from_ns(time.time_ns())
+        )
+        self._carried_out = None
+        self._publish_status()
+        self.get_logger().info(
+            f'goal {self._goal_id()}: {len(goal.trials())} trials to {self._folder}'
+        )
+        response.success = True
+        response.message = self._goal_id()
+        return response
+
+    def _on_cancel(self, request: Any, response: Any) -> Any:
+        """Cancel the goal that the request names, by the rules of an action server."""
+        wanted = bytes(request.goal_info.goal_id.uuid)
+        stamp = request.goal_info.stamp
+        experiment = self._experiment
+        named = any(wanted)
+        mine = bytes(self._goal_info.goal_id.uuid) if experiment is not None else b''
+        if named and wanted != mine:
+            response.return_code = CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
+            return response
+        if experiment is None or experiment.status.terminal:
+            response.return_code = (
+                CancelGoal.Response.ERROR_GOAL_TERMINATED
+                if named
+                else CancelGoal.Response.ERROR_REJECTED
+            )
+            return response
+        accepted = self._goal_info.stamp
+        timed = (stamp.sec, stamp.nanosec) != (0, 0)
+        later = (accepted.sec, accepted.nanosec) > (stamp.sec, stamp.nanosec)
+        if (timed and later and not named) or not experiment.cancel(time.monotonic()):
+            response.return_code = CancelGoal.Response.ERROR_REJECTED
+            return response
+        self.get_logger().info(f'goal {self._goal_id()}: cancel requested')
+        response.return_code = CancelGoal.Response.ERROR_NONE
+        response.goals_canceling = [self._goal_info]
+        self._publish_status()
+        return response
+
+    # -- the work -------------------------------------------------------------------------------
+
+    def _on_tick(self) -> None:
+        """Take what has come, and go on."""
+        now = time.monotonic()
+        self._take(now)
+        experiment = self._experiment
+        if experiment is None or experiment.step is Step.END:
+            return
+        experiment.begin(now)
+        # One tick may go through several steps: none of them waits.
+        for _ in Step:
+            entered = (experiment.step, experiment.entered)
+            if entered != self._carried_out:
+                self._carried_out = entered
+                self._drop_call()
+                self._enter(experiment, now)
+            self._poll(experiment, now)
+            if (experiment.step, experiment.entered) == entered:
+                break
+        experiment.tick(now)
+        self._report(experiment, now)
+
+    def _take(self, now: float) -> None:
+        """Empty the queues into the bag, and tell the experiment the arm's phase."""
+        for topic, intake in self._intakes.items():
+            for data, sent_ns, received_ns in intake.take():
+                self._last_heard[topic.name] = now
+                if topic is PHASE and self._experiment is not None:
+                    self._experiment.phase(deserialize_message(data, String).data, now)
+                if self._recording is not None:
+                    self._recording.write(topic, data, received_ns, sent_ns)
+
+    def _enter(self, experiment: Experiment, now: float) -> None:
+        """Begin a step."""
+        trial, goal = experiment.trial, experiment.goal
+        match experiment.step:
+            case Step.SAMPLE:
+                self.get_logger().info(
+                    f'{trial.name}: trial {trial.number} of {len(experiment.trials)}'
+                )
+                port = self.parameters.integer('simulated_world_port')
+                self._sample = None
+                if port:
+                    timeout = self.parameters.real('service_deadline')
+                    self._sample = _NewSample(port, timeout, self.stopping)
+            case Step.PLAN:
+                self._ask(PLAN, Trigger.Request())
+            case Step.TARE:
+                self._ask(TARE, Trigger.Request())
+            case Step.CONFIGURE:
+                values = {
+                    'push_speed': trial.push_speed,
+                    'depth': trial.depth,
+                    'hold_time': goal.hold_time,
+                    'recover_time': goal.recover_time,
+                }
+                experiment.waiting_for = f'the parameters of {ARM_NODE}'
+                self._call = _Call(self._configure, _set_request(values))
+            case Step.ENABLE:
+                self._ask(ENABLE, SetBool.Request(data=True))
+            case Step.RECORD:
+                experiment.waiting_for = 'the bag to be opened'
+                self._recording = Recording(
+                    self._folder / trial.name,
+                    {
+                        'source': NAME,
+                        'goal_id': self._goal_id(),
+                        'trial': str(trial.number),
+                        'repeat': str(trial.repeat),
+                        'commanded_push_speed_m_s': repr(trial.push_speed),
+                        'commanded_depth_m': repr(trial.depth),
+                        'commanded_hold_time_s': repr(goal.hold_time),
+                        'commanded_recover_time_s': repr(goal.recover_time),
+                    },
+                    self.parameters.integer('write_buffer'),
+                )
+                # The fitter works on what is recorded, no more; without one there is only a bag.
+                fitter = self._clients_of[RESET.name]
+                if fitter.service_is_ready():
+                    fitter.call_async(Trigger.Request())
+            case Step.START:
+                self._last_heard = dict.fromkeys((WRENCH.name, TOOL_HEIGHT.name), now)
+                self._ask(PUSH, Trigger.Request())
+            case Step.STOP:
+                self._ask(STOP, Trigger.Request())
+            case Step.DISABLE:
+                self._ask(ENABLE, SetBool.Request(data=False))
+
+    def _poll(self, experiment: Experiment, now: float) -> None:
+        """See whether a step has come to its end."""
+        match experiment.step:
+            case Step.SAMPLE:
+                if self._sample is None or self._sample.over:
+                    if self._sample is not None and self._sample.error:
+                        experiment.failed(self._sample.error, now)
+                    else:
+                        experiment.done(now)
+            case Step.PLAN | Step.TARE | Step.ENABLE:
+                self._on_answer(experiment, now, experiment.done)
+            case Step.CONFIGURE:
+                self._on_configured(experiment, now)
+            case Step.RECORD:
+                self._on_recording(experiment, now)
+            case Step.START:
+                self._on_answer(experiment, now, experiment.started)
+                self._watch_disk(experiment, now)
+            case Step.PUSH:
+                self._watch_disk(experiment, now)
+                if experiment.step is Step.PUSH:
+                    self._watch_streams(experiment, now)
+            case Step.STOP:
+                # An arm that was moving tells by its phase when it has come back.
+                if experiment.arm_phase in (None, 'done', 'aborted'):
+                    self._on_answer(experiment, now, experiment.done)
+                elif self._call is not None:
+                    self._call.answer()
+            case Step.FINISH:
+                self._finish(experiment, now)
+            case Step.DISABLE:
+                self._on_answer(experiment, now, experiment.done)
+
+    def _ask(self, service: Service, request: Any) -> None:
+        """Begin a request; `_on_answer` sees to its end."""
+        assert self._experiment is not None
+        self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
+        self._call = _Call(self._clients_of[service.name], request)
+
+    def _drop_call(self) -> None:
+        if self._call is not None:
+            self._call.drop()
+            self._call = None
+
+    def _on_answer(
+        self, experiment: Experiment, now: float, then: Callable[[float], None]
+    ) -> None:
+        """Go on when the running request has been answered."""
+        answer = self._call.answer() if self._call is not None else None
+        if answer is None:
+            return
+        if answer.success:
+            then(now)
+        else:
+            step = experiment.step.name.lower()
+            experiment.failed(f'{experiment.trial.name}: {step} refused: {answer.message}', now)
+
+    def _on_configured(self, experiment: Experiment, now: float) -> None:
+        answer = self._call.answer() if self._call is not None else None
+        if answer is None:
+            return
+        refusals = [result.reason for result in answer.results if not result.successful]
+        if refusals:
+            experiment.failed(f'{experiment.trial.name}: {"; ".join(refusals)}', now)
+        else:
+            experiment.done(now)
+
+    def _on_recording(self, experiment: Experiment, now: float) -> None:
+        """Go on when the bag is open and both streams come in."""
+        assert self._recording is not None
+        self._watch_disk(experiment, now)
+        if experiment.step is Step.RECORD and self._recording.opened:
+            silent = [
+                topic.name
+                for topic in (WRENCH, TOOL_HEIGHT)
+                if not self._recording.counts[topic.name]
+            ]
+            if silent:
+                experiment.waiting_for = f'{" and ".join(silent)}: see whether the drivers run'
+            else:
+                experiment.done(now)
+
+    def _watch_disk(self, experiment: Experiment, now: float) -> None:
+        if self._recording is not None and self._recording.error is not None:
+            experiment.failed(self._recording.error, now)
+
+    def _watch_streams(self, experiment: Experiment, now: float) -> None:
+        """Take a driver that has fallen silent for dead."""
+        limit = self.parameters.real('stream_deadline')
+        for name, heard in self._last_heard.items():
+            if name in (WRENCH.name, TOOL_HEIGHT.name) and now - heard > limit:
+                experiment.failed(
+                    f'{experiment.trial.name}: {name} has been silent for {limit:g} s: see '
+                    'whether its node runs',
+                    now,
+                )
+                return
+
+    def _finish(self, experiment: Experiment, now: float) -> None:
+        """Close the bag once all that belongs to the trial is in it, and judge it."""
+        recording = self._recording
+        if recording is None:
+            experiment.recorded(None, (), now)
+            return
+        missing = missing_topics(recording.counts)
+        usable = not (missing or experiment.failing or recording.error)
+        outcome = Outcome.COMPLETE if usable else Outcome.INCOMPLETE
+        if experiment.failing or recording.error:
+            outcome = Outcome.ABORTED
+        suffix = '' if usable else f'_{outcome.value}'
+        recording.close({'outcome': outcome.value, 'missing': ', '.join(missing)}, suffix)
+        if not recording.closed:
+            experiment.waiting_for = f'{recording.path} to be closed'
+            return
+        self._recording = None
+        if recording.error:
+            experiment.failed(recording.error, now)
+        bag = str(recording.path) if recording.path.exists() else None
+        experiment.recorded(bag, missing, now)
+        self.get_logger().info(
+            f'{bag}: {outcome.value}, {sum(recording.counts.values())} messages'
+        )
+
+    # -- what is told ---------------------------------------------------------------------------
+
+    def _report(self, experiment: Experiment, now: float) -> None:
+        """Publish status and result on change, and feedback at least once a period."""
+        changed = experiment.status is not self._status
+        if changed:
+            self._publish_status()
+        if experiment.status.terminal:
+            self._publish_feedback(experiment, now)
+            self._publish_result(experiment)
+        elif changed or now - self._reported >= self.parameters.real('feedback_period'):
+            self._publish_feedback(experiment, now)
+
+    def _goal_id(self) -> str:
+        return uuid.UUID(bytes=bytes(self._goal_info.goal_id.uuid)).hex
+
+    def _publish_status(self) -> None:
+        assert self._experiment is not None
+        self._status = self._experiment.status
+        status = action.GoalStatus(goal_info=self._goal_info, status=int(self._status))
+        self._status_publisher.publish(action.GoalStatusArray(status_list=[status]))
+
+    def _publish_feedback(self, experiment: Experiment, now: float) -> None:
+        self._reported = now
+        trial = experiment.trial
+        step = experiment.step.name.lower()
+        pushing = experiment.step is Step.PUSH and experiment.arm_phase is not None
+        values = {
+            'goal_id': self._goal_id(),
+            'trial': str(trial.number),
+            'trials': str(len(experiment.trials)),
+            'name': trial.name,
+            'step': step,
+            'phase': str(experiment.arm_phase) if pushing else '',
+            'time_left_s': f'{experiment.time_left(now):.1f}',
+        }
+        text = str(experiment.arm_phase) if pushing else step
+        self._feedback_publisher.publish(status_to_message('experiment', text, values))
+
+    def _publish_result(self, experiment: Experiment) -> None:
+        values = {
+            'goal_id': self._goal_id(),
+            'status': experiment.status.name,
+            'trials': str(len(experiment.trials)),
+            'complete': str(sum(item.outcome is Outcome.COMPLETE for item in experiment.outcomes)),
+        }
+        for item in experiment.outcomes:
+            values[f'bag {item.trial.number}'] = item.bag or ''
+            values[f'outcome {item.trial.number}'] = item.outcome.value + (
+                f': {item.reason}' if item.reason else ''
+            )
+        message = status_to_message(
+            'experiment', experiment.reason or f'all bags are in {self._folder}', values
+        )
+        message.level = _LEVELS[experiment.status]
+        self._result_publisher.publish(message)
+        self.get_logger().info(f'goal {self._goal_id()}: {experiment.status.name}')
+
+
+def _set_request(values: dict[str, float]) -> Any:
+    """Return the request that sets doubles of a node."""
+    return SetParameters.Request(
+        parameters=[
+            Parameter(
+                name=name,
+                value=ParameterValue(
+                    type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)
+                ),
+            )
+            for name, value in values.items()
+        ]
+    )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(ExperimentOrchestrator)
