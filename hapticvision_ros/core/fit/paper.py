@@ -68,6 +68,9 @@ NEGLIGIBLE: Final = 0.01
 LONGEST_EXTRAPOLATION: Final = 3.0
 """A time constant longer than this many records is not told by them."""
 
+UNCONVERGED: Final = 0.05
+"""A hold whose force ends further than this share above its limit has not converged."""
+
 WORST_RELATIVE_ERROR: Final = 0.5
 """A time constant with a larger relative standard error is not told by the record."""
 
@@ -270,6 +273,12 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     if reason:
         return _unknown_decay(reason, fit)
     caution = _extrapolated(fit, 'hold')
+    left = fit.amplitude * math.exp(-(stop - segmentation.t_hold) / fit.time_constant)
+    if segmentation.t_release is not None and left > UNCONVERGED * abs(fit.offset):
+        warnings += (
+            f'The hold ends {left:.2g} N above F_inf = {fit.offset:.3g} N: eq. (13) takes the '
+            'force to have converged by T_e, and K1 comes out too low; hold longer.',
+        )
     amplitude_std, time_std, offset_std = fit.std
     order = np.ix_((1, 0, 2), (1, 0, 2))
     return _Decay(

@@ -47,7 +47,8 @@ UNITS: Final = {'K1': 'N/m', 'C1': 'N.s/m', 'C2': 'N.s/m'}
 _BLOCKS: Final = 256
 _MAX_KNOTS: Final = 48
 _GRID: Final = 64
-_LONGEST: Final = 100.0
+_LONGEST: Final = 1e4
+"""The slowest relaxation that is tried, in durations of a trial: a spring."""
 
 
 @dataclass(frozen=True, slots=True)

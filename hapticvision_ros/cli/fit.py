@@ -1,0 +1,261 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+``hapticvision fit``: bags in, parameters, result.json and a report out.
+
+Every bag is read before anything is written. A bag that cannot be read stops the command: a
+result that lacks a trial somebody asked for is worse than none, and all such bags are named at
+once so that one correction does.
+"""
+
+import argparse
+from collections.abc import Sequence
+import contextlib
+import json
+import os
+from pathlib import Path
+import tempfile
+from typing import Any, TYPE_CHECKING
+
+from hapticvision_ros.core.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
+    from hapticvision_ros.core.records import Estimate, Trial
+    from hapticvision_ros.report.quantities import Unit, UnitSystem
+
+MODELS = ('three-element',)
+_MOST_NAMED = 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument(
+        'bags', nargs='+', type=Path, metavar='BAG', help='a bare .mcap or a rosbag2 directory'
+    )
+    parser.add_argument(
+        '--out',
+        type=Path,
+        required=True,
+        metavar='DIR',
+        help='where result.json and report.html go',
+    )
+    parser.add_argument(
+        '--hold-out',
+        nargs='+',
+        type=Path,
+        default=[],
+        metavar='BAG',
+        help='bags that the model is not fitted to but only compared with',
+    )
+    parser.add_argument(
+        '--model',
+        default=MODELS[0],
+        metavar='MODEL',
+        help=f'the model to fit: {", ".join(MODELS)} (default)',
+    )
+    parser.add_argument(
+        '--units',
+        choices=('si', 'paper'),
+        default='si',
+        help="units of the printed table: N/m, or the paper's kgf/mm; files are always SI",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit the bags, print a table and write the results."""
+    _check(args)
+    # The numerics take longer to import than a wrong argument takes to be told.
+    from hapticvision_ros.core.pipeline import analyse, analyse_campaign
+    from hapticvision_ros.core.result import result_document
+    from hapticvision_ros.report import write_report
+
+    trials = _read([*args.bags, *args.hold_out])
+    analyses = [analyse(trial) for trial in trials]
+    count = len(args.bags)
+    campaign = analyse_campaign(analyses[:count], analyses[count:])
+    document = result_document(
+        campaign, [str(bag) for bag in args.bags], [str(bag) for bag in args.hold_out]
+    )
+    result, report = args.out / 'result.json', args.out / 'report.html'
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        write_report(report, campaign.trials + campaign.held_out, campaign)
+        write_json(result, document)
+    except OSError as error:
+        raise InputError(
+            f'{error.filename or args.out} cannot be written ({error.strerror}): choose another '
+            '--out.'
+        ) from error
+    print_tables(campaign, args.units)
+    print(f'\nWrote {result} and {report}.')
+    return 0
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write a JSON document so that `path` holds all of it or what it held before."""
+    text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, 'w', encoding='utf-8') as file:
+            file.write(text + '\n')
+        # mkstemp makes a file for its owner alone; a result is made like any other file.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def print_tables(campaign: 'CampaignAnalysis', units: str) -> None:
+    """Print the parameters of each trial, what is doubtful, and how far the model misses."""
+    from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
+
+    system = PAPER_UNITS if units == 'paper' else SI_UNITS
+    analyses = campaign.trials + campaign.held_out
+    print("The paper's method, trial by trial (value ± one standard error):\n")
+    print('\n'.join(_paper_table(analyses, system)))
+    for analysis in analyses:
+        for line in _doubts(analysis):
+            print(f'  {analysis.trial.name}: {line}')
+    print(f'\nThe {campaign.before.model} model, fitted to push and hold of all trials:\n')
+    print('\n'.join(_model_table(campaign, system)))
+    for warning in campaign.warnings:
+        print(f'  {warning}')
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what does not fit together, before anything is read."""
+    if args.model not in MODELS:
+        raise UsageError(
+            f"--model '{args.model}' is not in this version: choose {' or '.join(MODELS)}."
+        )
+    if args.out.exists() and not args.out.is_dir():
+        raise UsageError(f'--out {args.out} is a file: name a directory.')
+    seen: set[Path] = set()
+    for bag in [*args.bags, *args.hold_out]:
+        resolved = bag.resolve()
+        if resolved in seen:
+            raise UsageError(f'{bag} is named twice: name each bag once.')
+        seen.add(resolved)
+
+
+def _read(bags: Sequence[Path]) -> 'list[Trial]':
+    """Read all bags, or name all that cannot be read."""
+    from hapticvision_ros.bag.reader import read_trial
+
+    trials, complaints = [], []
+    for bag in bags:
+        try:
+            trials.append(read_trial(bag))
+        except InputError as error:
+            complaints.append(str(error).rstrip('.'))
+    if complaints:
+        more = len(complaints) - _MOST_NAMED
+        named = '; '.join(complaints[:_MOST_NAMED]) + (f'; and {more} more' if more > 0 else '')
+        raise InputError(f'{named}.')
+    return trials
+
+
+def _paper_table(analyses: 'Sequence[TrialAnalysis]', system: 'UnitSystem') -> list[str]:
+    """Return the lines of the table of the paper's method."""
+    columns = (
+        ('relaxation time', 'relaxation_time', system['time']),
+        ('F_inf', 'F_inf', system['force']),
+        ('retardation time', 'retardation_time', system['time']),
+        ('H0', 'H0', system['length']),
+        ('K1', 'K1', system['stiffness']),
+        ('C1', 'C1', system['viscosity']),
+        ('C2', 'C2', system['viscosity']),
+    )
+    rows = [['trial', *(f'{title} [{unit.symbol}]' for title, _, unit in columns)]]
+    rows += [
+        [
+            analysis.trial.name,
+            *(_cell(getattr(analysis.paper, name), unit) for _, name, unit in columns),
+        ]
+        for analysis in analyses
+    ]
+    return _aligned(rows)
+
+
+def _model_table(campaign: 'CampaignAnalysis', system: 'UnitSystem') -> list[str]:
+    """Return the lines on the parameters of the model and on how far it misses."""
+    from hapticvision_ros.report.quantities import format_quantity
+
+    units = {'K1': system['stiffness'], 'C1': system['viscosity'], 'C2': system['viscosity']}
+    parameters = campaign.before.parameters
+    rows = [[f'{name} [{units[name].symbol}]' for name in parameters]]
+    rows += [[_cell(estimate, units[name]) for name, estimate in parameters.items()]]
+    lines = [*_aligned(rows), '']
+    error = campaign.before.train
+    if error is not None and error.force_rmse is not None:
+        lines.append(
+            f'It misses the force by {format_quantity(error.force_rmse, system["force"])} rms:'
+        )
+    misses = [
+        *zip(campaign.trials, campaign.before.predictions, strict=True),
+        *zip(campaign.held_out, campaign.before.held_out_predictions, strict=True),
+    ]
+    for analysis, prediction in misses:
+        if prediction is not None:
+            told = ', '.join(
+                f'{100.0 * miss.share_of_peak:.1f} % of the peak in the {miss.phase}'
+                for miss in prediction.misses
+            )
+            lines.append(f'  {analysis.trial.name}: {told}')
+    if error is not None and error.height_rmse is not None:
+        height = format_quantity(error.height_rmse, system['length'])
+        lines.append(f'and the free recovery that it predicts by {height} rms.')
+    held_out = campaign.before.held_out
+    if held_out is not None and held_out.force_rmse is not None:
+        force = format_quantity(held_out.force_rmse, system['force'])
+        lines.append(f'On the trials held out it misses the force by {force} rms.')
+    return lines
+
+
+def _doubts(analysis: 'TrialAnalysis') -> list[str]:
+    """Return what a reader must know of the numbers of one trial."""
+    from hapticvision_ros.core.result import estimate_warnings, PAPER_KEYS
+
+    estimates = {name: getattr(analysis.paper, name) for _, name in PAPER_KEYS}
+    return [*analysis.warnings, *estimate_warnings(estimates)]
+
+
+def _cell(estimate: 'Estimate', unit: 'Unit') -> str:
+    """Return one number of a table; a dash where the data cannot tell it."""
+    from hapticvision_ros.report.quantities import format_number
+
+    if estimate.value is None:
+        return '-'
+    std = None if estimate.std is None else unit.from_si(estimate.std)
+    return format_number(unit.from_si(estimate.value), std)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines with aligned columns, the first to the left."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        '  '
+        + '  '.join(
+            cell.ljust(width) if index == 0 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,121 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``hapticvision``: one verb, one file, imported only when it is asked for."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+import os
+import sys
+from typing import Final, NoReturn, Protocol, TextIO
+
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
+
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C, as of a shell: 128 + SIGINT."""
+
+
+class VerbModule(Protocol):
+    """What the module of a verb offers."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the verb's arguments."""
+        ...
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do it, and return the exit code."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """A verb: `module` below ``hapticvision_ros.cli``, and what it does in one line."""
+
+    module: str
+    summary: str
+
+
+VERBS: Final = {
+    'import': Verb('import_csv', 'turn measured CSV files into bags'),
+    'fit': Verb('fit', 'estimate rheological parameters from bags'),
+    'cell': Verb('cell', "start the cell's nodes"),
+    'replay': Verb('replay', 'play a bag through the nodes'),
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that complains in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what `main` prints."""
+        raise UsageError(f'{message.rstrip(".")}; see {self.prog} --help.')
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """
+    Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str or None
+        The arguments; None for those of the process.
+
+    Returns
+    -------
+    int
+        0: done. 2: bad input or usage, told in one sentence on standard error. 130: interrupted.
+
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+        return code
+    except HapticVisionError as error:
+        print(f'hapticvision: {error}', file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print('hapticvision: interrupted.', file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has left, as `head` does; nothing is wrong here.
+        _silence(sys.stdout)
+        return 0
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Parse the arguments and run the verb."""
+    parser = Parser(
+        prog='hapticvision',
+        description='Robotic texture analyser: rheological parameters from touch and sight.',
+    )
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+    asked = next((argument for argument in arguments if argument in VERBS), None)
+    module: VerbModule | None = None
+    for name, verb in VERBS.items():
+        subparser = verbs.add_parser(name, help=verb.summary, description=verb.summary + '.')
+        if name == asked:
+            module = import_module(f'hapticvision_ros.cli.{verb.module}')
+            module.add_arguments(subparser)
+    args = parser.parse_args(arguments)
+    if module is None:
+        raise UsageError('say what to do; see hapticvision --help.')
+    return module.run(args)
+
+
+def _silence(stream: TextIO) -> None:
+    """Let nothing more be written to a closed pipe, not even at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
