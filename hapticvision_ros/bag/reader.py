@@ -20,6 +20,7 @@ Whatever can be read is read; what had to be left out or repaired is told in the
 one sentence each. Only a bag from which no trial can be made is refused.
 """
 
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,19 +29,20 @@ from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
     POINTS,
+    PROVENANCE,
     PUSH_VELOCITY,
     TOOL_HEIGHT,
     WRENCH,
 )
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.streams import CloudStream, NumberStream, TextStream, WrenchStream
-from hapticvision_ros.bag.writer import PROVENANCE
+from hapticvision_ros.core.displacement import displacement_from_clouds
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import DisplacementSource, Trial
 
 
-class _Streams:
-    """The six topics of the contract while a bag is read."""
+class TrialStreams:
+    """The topics of the contract on their way to a trial, from a bag or from a running cell."""
 
     def __init__(self) -> None:
         self.force = WrenchStream(WRENCH)
@@ -58,6 +60,91 @@ class _Streams:
             self.points,
         )
         self.by_name = {stream.topic.name: stream for stream in self.all}
+
+    def trial(
+        self,
+        name: str,
+        where: str,
+        *,
+        warnings: Iterable[str] = (),
+        provenance: Mapping[str, str] = MappingProxyType({}),
+        topics: Collection[str] = (),
+        displacement_from_points: bool = True,
+    ) -> Trial:
+        """
+        Return what the streams hold as one trial; to be called once.
+
+        Parameters
+        ----------
+        name : str
+            What a person calls the trial.
+        where : str
+            What the messages come from, for the sentence when they are no trial.
+        warnings : iterable of str
+            What is wrong with the source.
+        provenance : mapping of str to str
+            Where the data come from.
+        topics : collection of str
+            All that the source holds, for the sentence when they are no trial.
+        displacement_from_points : bool
+            Whether to compute the displacement height from the clouds where it was not recorded.
+
+        Raises
+        ------
+        InputError
+            If there is no usable force or no usable tool height.
+
+        """
+        told = list(warnings)
+        starts = [first for stream in self.all if (first := stream.settle_times()) is not None]
+        start_ns = min(starts, default=0)
+        force = self.force.signal(start_ns)
+        tool_height = self.tool_height.signal(start_ns)
+        if force is None or tool_height is None:
+            lacking = [
+                stream.why_empty()
+                for stream, signal in ((self.force, force), (self.tool_height, tool_height))
+                if signal is None
+            ]
+            present = ', '.join(sorted(topics)) or 'none'
+            raise InputError(
+                f'{where} holds no trial: {"; ".join([*lacking, *told])}; '
+                f'topics in the bag: {present}'
+            )
+        if force.t[-1] < tool_height.t[0] or tool_height.t[-1] < force.t[0]:
+            told.append('force and tool height do not overlap in time: check the clocks')
+
+        displacement = self.displacement.signal(start_ns)
+        push_velocity = self.push_velocity.signal(start_ns)
+        phases = self.phase.phases(start_ns)
+        clouds = self.points.clouds(start_ns)
+        for stream in self.all:
+            told += stream.warnings
+        source: DisplacementSource = 'none'
+        if displacement is not None:
+            source = 'tool' if provenance.get('displacement_source') == 'tool' else 'topic'
+        elif clouds is not None and displacement_from_points:
+            displacement, assumed = displacement_from_clouds(clouds, tool_height)
+            told += assumed
+            source = 'none' if displacement is None else 'points'
+        else:
+            told.append(
+                f'{DISPLACEMENT_HEIGHT.name} was not recorded: the displacement of the object is '
+                'unknown'
+            )
+        return Trial(
+            name=name,
+            start_ns=start_ns,
+            force=force,
+            tool_height=tool_height,
+            displacement_height=displacement,
+            displacement_source=source,
+            push_velocity=push_velocity,
+            phases=phases,
+            clouds=clouds,
+            warnings=tuple(told),
+            provenance=MappingProxyType(dict(provenance)),
+        )
 
 
 def read_trial(path: Path, *, displacement_from_points: bool = True) -> Trial:
@@ -85,59 +172,21 @@ def read_trial(path: Path, *, displacement_from_points: bool = True) -> Trial:
 
     """
     bag = find_files(path)
-    streams = _Streams()
+    streams = TrialStreams()
     warnings = list(bag.warnings)
     provenance, topics = _scan(path, bag, streams, warnings)
-
-    starts = [first for stream in streams.all if (first := stream.settle_times()) is not None]
-    start_ns = min(starts, default=0)
-    force = streams.force.signal(start_ns)
-    tool_height = streams.tool_height.signal(start_ns)
-    if force is None or tool_height is None:
-        lacking = [
-            stream.why_empty()
-            for stream, signal in ((streams.force, force), (streams.tool_height, tool_height))
-            if signal is None
-        ]
-        present = ', '.join(sorted(topics)) or 'none'
-        raise InputError(
-            f'{path} holds no trial: {"; ".join([*lacking, *warnings])}; '
-            f'topics in the bag: {present}'
-        )
-    if force.t[-1] < tool_height.t[0] or tool_height.t[-1] < force.t[0]:
-        warnings.append('force and tool height do not overlap in time: check the clocks')
-
-    displacement = streams.displacement.signal(start_ns)
-    push_velocity = streams.push_velocity.signal(start_ns)
-    phases = streams.phase.phases(start_ns)
-    clouds = streams.points.clouds(start_ns)
-    for stream in streams.all:
-        warnings += stream.warnings
-    source: DisplacementSource = 'none'
-    if displacement is not None:
-        source = 'tool' if provenance.get('displacement_source') == 'tool' else 'topic'
-    else:
-        warnings.append(
-            f'{DISPLACEMENT_HEIGHT.name} was not recorded: the displacement of the object is '
-            'unknown'
-        )
-    return Trial(
-        name=bag.name,
-        start_ns=start_ns,
-        force=force,
-        tool_height=tool_height,
-        displacement_height=displacement,
-        displacement_source=source,
-        push_velocity=push_velocity,
-        phases=phases,
-        clouds=clouds,
-        warnings=tuple(warnings),
-        provenance=MappingProxyType(provenance),
+    return streams.trial(
+        bag.name,
+        str(path),
+        warnings=warnings,
+        provenance=provenance,
+        topics=topics,
+        displacement_from_points=displacement_from_points,
     )
 
 
 def _scan(
-    path: Path, bag: BagFiles, streams: _Streams, warnings: list[str]
+    path: Path, bag: BagFiles, streams: TrialStreams, warnings: list[str]
 ) -> tuple[dict[str, str], set[str]]:
     """Feed the streams from the bag's files; return the provenance and the topics' names."""
     provenance: dict[str, str] = {}
