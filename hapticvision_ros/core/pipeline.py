@@ -121,18 +121,18 @@ def analyse_campaign(
         noise,
     )
     warnings = [
-        'This version measures how far the three-element model misses the trials and does not '
-        'diagnose why.'
+        'this version measures how far the three-element model misses the trials and does not '
+        'diagnose why'
     ]
     if not held_out:
         warnings.append(
-            'Nothing is held out: the error on unseen trials needs more trials than one.'
+            'nothing is held out: the error on unseen trials needs more trials than one'
             if len(trials) == 1
-            else 'Nothing is held out: the error on unseen trials needs --hold-out.'
+            else 'nothing is held out: the error on unseen trials is unknown'
         )
     for symbol, estimate in (('force', noise.force), ('height', noise.height)):
         if estimate.reason is not None:
-            warnings.append(f'The noise of the {symbol} is unknown: {estimate.reason}.')
+            warnings.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
     return CampaignAnalysis(
         trials=tuple(trials),
         held_out=tuple(held_out),

@@ -62,7 +62,7 @@ def result_document(
         _trial(analysis, bag, ()) for analysis, bag in zip(campaign.trials, bags, strict=True)
     ]
     trials += [
-        _trial(analysis, bag, ('Held out: the model was not fitted to this trial.',))
+        _trial(analysis, bag, ('held out: the model was not fitted to this trial',))
         for analysis, bag in zip(campaign.held_out, held_out_bags, strict=True)
     ]
     return {
@@ -86,7 +86,7 @@ def estimate_warnings(estimates: Mapping[str, Estimate]) -> list[str]:
         if estimate.reason is not None:
             names.setdefault((estimate.reason, estimate.known), []).append(name)
     return [
-        f'{", ".join(of)} {"with caution" if known else "unknown"}: {reason}.'
+        f'{", ".join(of)} {"with caution" if known else "unknown"}: {reason}'
         for (reason, known), of in names.items()
     ]
 

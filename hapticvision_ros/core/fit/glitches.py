@@ -36,6 +36,7 @@ NORMAL_FROM_MAD: Final = 1.4826
 
 _HALF_WIDTH: Final = 5
 _SIGMAS: Final = 8.0
+_LOCAL_SPREADS: Final = 5.0
 _SCALES: Final = (1, 4, 16, 64)
 
 
@@ -45,8 +46,9 @@ def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
 
     A sample is compared with the running median of the 11 samples around it, and so are the
     medians of blocks of 4, 16 and 64 samples, so that bursts up to 320 samples long are seen. The
-    limit is eight times the robust noise of the same comparison or of second differences. A
-    monotone stretch has no departure at all, however steep: a decay and a step are never glitches.
+    limit is eight times the robust noise of the same comparison or of second differences, and
+    five times the median departure in the same window. A monotone stretch has no departure at all,
+    however steep, and a smooth turn little: a decay, a step and a peak are never glitches.
 
     Parameters
     ----------
@@ -89,7 +91,14 @@ def _outlying(value: FloatArray, floor: float) -> NDArray[np.bool_]:
     curvature = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
     typical = max(float(np.median(departure)), float(np.median(curvature)) / math.sqrt(6.0))
     limit = max(_SIGMAS * NORMAL_FROM_MAD * typical, floor)
-    return np.asarray(departure > limit)
+    outlying = np.asarray(departure > limit)
+    suspects = np.flatnonzero(outlying)
+    if suspects.size:
+        # A smooth turn of the signal departs as well, but no further than its neighbours do.
+        spread = np.abs(windows[suspects] - running[suspects, np.newaxis])
+        local = np.partition(spread, _HALF_WIDTH, axis=1)[:, _HALF_WIDTH]
+        outlying[suspects] = departure[suspects] > _LOCAL_SPREADS * local
+    return outlying
 
 
 def _resolution(value: FloatArray) -> float:

@@ -228,7 +228,7 @@ def _set_aside(fit: ExponentialFit, what: str) -> tuple[str, ...]:
         return ()
     return (
         f'{fit.set_aside.size} glitches of the {what} were set aside, the first at '
-        f't = {fit.set_aside[0]:.3f} s.',
+        f't = {fit.set_aside[0]:.3f} s',
     )
 
 
@@ -276,8 +276,8 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     left = fit.amplitude * math.exp(-(stop - segmentation.t_hold) / fit.time_constant)
     if segmentation.t_release is not None and left > UNCONVERGED * abs(fit.offset):
         warnings += (
-            f'The hold ends {left:.2g} N above F_inf = {fit.offset:.3g} N: eq. (13) takes the '
-            'force to have converged by T_e, and K1 comes out too low; hold longer.',
+            f'the hold ends {left:.2g} N above F_inf = {fit.offset:.3g} N: eq. (13) takes the '
+            'force to have converged by T_e, and K1 comes out too low; hold longer',
         )
     amplitude_std, time_std, offset_std = fit.std
     order = np.ix_((1, 0, 2), (1, 0, 2))
@@ -353,7 +353,7 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation) -> _Decay:
         if at_once > max(SIGNIFICANT * math.hypot(pressed_std, fit.std[2]), 0.05 * amplitude):
             warnings += (
                 f'{1e3 * at_once:.3g} mm came back at once on release, beside the '
-                f'{1e3 * amplitude:.3g} mm of eq. (10): the three-element model has no such part.',
+                f'{1e3 * amplitude:.3g} mm of eq. (10): the three-element model has no such part',
             )
     extrapolated = _extrapolated(fit, 'recovery')
     time_std, amplitude_std, limit_std = np.sqrt(np.diag(covariance)).tolist()

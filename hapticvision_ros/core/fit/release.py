@@ -52,7 +52,7 @@ def start_of_recovery(
     if segmentation.t_end - start < 0.2 * (segmentation.t_end - released):
         return None, 'the tool was not kept on the object steadily while it recovered'
     return start, (
-        f'The tool was kept on the recovering object with {kept:.2g} N; eq. (10) assumes none.'
+        f'the tool was kept on the recovering object with {kept:.2g} N: eq. (10) assumes none'
     )
 
 

@@ -207,7 +207,9 @@ def fit_waveform(
     eta, k, T, limits = _search(usable)
     parameters = _parameters(usable, eta, k, T, limits)
     warnings += [
-        f'{name}: {e.reason}.' for name, e in parameters.items() if not e.known and e.reason
+        f'{name} is unknown: {e.reason}'
+        for name, e in parameters.items()
+        if not e.known and e.reason
     ]
     # A vanishing branch, so that the same equations predict a bare dashpot.
     body = ThreeElement.from_maxwell(eta, max(k, 1e-9 * eta / T, 1e-12), T)
@@ -237,12 +239,12 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
     start, original = phases.t_contact, phases.contact_height
     stop = phases.t_end if phases.t_release is None else phases.t_release
     if start is None or original is None or stop <= start:
-        warnings.append(f'{trial.name}: no contact was found, so no model was fitted to it.')
+        warnings.append(f'{trial.name}: no contact was found, so no model was fitted to it')
         return None
     inside = trial.force.between(start, stop)
     tool = trial.tool_height.between(start, stop)
     if len(inside) < 8 or len(tool) < 4:
-        warnings.append(f'{trial.name}: too few samples in contact to fit a model.')
+        warnings.append(f'{trial.name}: too few samples in contact to fit a model')
         return None
     force = Signal(inside.t, inside.value - phases.force_zero)
     breaks = [start, stop]
@@ -389,7 +391,9 @@ def _parameters(
     if eta == 0.0:
         estimates['C1'] = Estimate.unknown('the best fit lies on the bound C1 = 0')
     if T / limits[1] > 0.99 or math.sqrt(covariance[2, 2]) > 0.5:
-        estimates['C2'] = Estimate.unknown('no flow is seen: the force does not relax')
+        estimates['C2'] = Estimate.unknown(
+            'the best fit is a body that does not flow: it only bounds C2 from below'
+        )
     return estimates
 
 
