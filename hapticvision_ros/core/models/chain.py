@@ -1,0 +1,603 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The response of the whole chain of elements to a measured tool motion, with its sensitivities.
+
+::
+
+                    +--------------------- K_p ----------------------+
+    tool --- K_m ---|                                                |--- support
+                    +-- K_0 --+-- K1 --+--+-- K_i --+-- flow unit --+
+                              +-- C1 --+  +-- C_i --+   (i = 1..n)
+
+The elements in a row carry one force, the chain force F_c. The flow unit is the dashpot C2, which a
+Saint-Venant slider of threshold F_y (Bingham) or a power law of index n changes; K1 grows with its
+stretch (beta) and is lost with the largest stretch so far (D); the force scales with the
+penetration (m). With every effect at its zero strength this is the three-element model of the
+paper, eqs. (1)-(3).
+
+The unknown of a step is the stretch u that K1 gains in it, from which follow the mean chain force
+over the step and, by it, everything else; one scalar, monotone equation says that the stretches
+add up to the tool's displacement. The mean force over a step is what a load cell reports that
+averages between its samples. It is preferred to the force at the step's ends because the force of
+a chain without K_0 jumps with the tool's speed, and an end-point rule of second order answers a
+jump with an undamped ringing. Kelvin-Voigt units are advanced by their exact solution under
+a constant force; the compliances K_0 and K_m by the exponentially fitted rule, which is the
+trapezoidal rule for a short step and the implicit Euler rule for a long one.
+
+Touch and loss of contact fall inside steps: a step is split at the touch, so that the force is a
+continuous and differentiable function of the contact offset.
+
+References
+----------
+J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., 1980, ch. 1 (units in series); M. Reiner,
+Deformation, Strain and Flow, 1960 (Bingham); E. Hairer and G. Wanner, Solving Ordinary
+Differential Equations II, 2nd ed., 1996, IV.8 (implicit mid-point), and W. Liniger and R. A.
+Willoughby, SIAM J. Numer. Anal. 7, 1970, 47-66, doi:10.1137/0707002 (exponential fitting).
+
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+from numba import njit
+import numpy as np
+
+from hapticvision_ros.core.records import FloatArray
+
+REFERENCE_RATE: Final = 1e-3
+"""Rate [m/s] at which a power-law dashpot has the viscosity C2: 1 mm/s, a usual push."""
+
+
+class Slot(IntEnum):
+    """Where a quantity stands in the vector that the integrator reads."""
+
+    K1 = 0
+    """Stiffness of the first Kelvin-Voigt unit [N/m]."""
+    C1 = 1
+    """Viscosity of the first Kelvin-Voigt unit [N.s/m]; zero for a spring."""
+    C2 = 2
+    """Viscosity of the flow unit [N.s/m]."""
+    YIELD_FORCE = 3
+    """Threshold of the slider beside C2 [N]."""
+    FLOW_INDEX = 4
+    """Exponent n of the flow unit, F = C2 v_ref (v / v_ref)^n [-]; 1 is a dashpot."""
+    STIFFENING = 5
+    """beta of K1 (1 + beta z^2) [1/m^2]."""
+    DAMAGE = 6
+    """D of K1 (1 - D z_max / d_ref) [-]."""
+    SERIES_COMPLIANCE = 7
+    """1 / K_0 [m/N]."""
+    MACHINE_COMPLIANCE = 8
+    """1 / K_m [m/N]."""
+    PARALLEL_STIFFNESS = 9
+    """K_p [N/m]."""
+    CONTACT_EXPONENT = 10
+    """m of the factor (H / d_ref)^m on the force of the chain [-]."""
+    REFERENCE_DEPTH = 11
+    """d_ref [m], a constant of the campaign."""
+    ADHESION = 12
+    """Pull-off force F_ad [N]."""
+    OFFSET = 13
+    """How much deeper the tool is than its measured displacement [m]."""
+
+
+def neutral() -> FloatArray:
+    """
+    Return the vector of slots in which every effect is absent.
+
+    Returns
+    -------
+    ndarray, shape (14,)
+        Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
+
+    """
+    slots = np.zeros(len(Slot))
+    slots[[Slot.K1, Slot.C2, Slot.FLOW_INDEX, Slot.REFERENCE_DEPTH]] = 1.0
+    return slots
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """
+    The numbers of a chain, or one direction in their space.
+
+    Parameters
+    ----------
+    slots : ndarray, shape (14,)
+        One number for each `Slot`.
+    unit_stiffness, unit_viscosity : ndarray, shape (n,)
+        K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
+
+    """
+
+    slots: FloatArray
+    unit_stiffness: FloatArray
+    unit_viscosity: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """
+    What the chain answers to a tool motion of n steps, and to p directions.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,)
+        Mean contact force over each step [N].
+    surface : ndarray, shape (n + 1,)
+        Displacement height H of the surface at the ends of the steps [m].
+    force_tangent : ndarray, shape (p, n)
+        Derivative of `force` along each direction.
+    surface_tangent : ndarray, shape (p, n + 1)
+        Derivative of `surface` along each direction.
+
+    """
+
+    force: FloatArray
+    surface: FloatArray
+    force_tangent: FloatArray
+    surface_tangent: FloatArray
+
+
+def respond(
+    t: FloatArray, displacement: FloatArray, chain: Chain, directions: tuple[Chain, ...] = ()
+) -> Response:
+    """
+    Return the response of a chain that starts at rest.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n + 1,)
+        Ends of the steps [s], increasing.
+    displacement : ndarray, shape (n + 1,)
+        Tool displacement beyond the first touch at `t` [m], linear in between; negative in air.
+    chain : Chain
+        The numbers.
+    directions : tuple of Chain
+        Directions in the space of the numbers, for the sensitivities.
+
+    Returns
+    -------
+    Response
+        Force and surface, and their derivatives along the directions.
+
+    """
+    n, p, units = t.size - 1, len(directions), chain.unit_stiffness.size
+    response = Response(np.empty(n), np.empty(n + 1), np.empty((p, n)), np.empty((p, n + 1)))
+    d_slots = np.empty((p, len(Slot)))
+    d_stiffness = np.empty((p, units))
+    d_viscosity = np.empty((p, units))
+    for j, direction in enumerate(directions):
+        d_slots[j] = direction.slots
+        d_stiffness[j] = direction.unit_stiffness
+        d_viscosity[j] = direction.unit_viscosity
+    _respond(
+        t,
+        displacement,
+        chain.slots,
+        chain.unit_stiffness,
+        chain.unit_viscosity,
+        d_slots,
+        d_stiffness,
+        d_viscosity,
+        response.force,
+        response.surface,
+        response.force_tangent,
+        response.surface_tangent,
+    )
+    return response
+
+
+# The enum is not known to the compiler; these are its values as constants.
+_K1 = int(Slot.K1)
+_C1 = int(Slot.C1)
+_C2 = int(Slot.C2)
+_FY = int(Slot.YIELD_FORCE)
+_N = int(Slot.FLOW_INDEX)
+_BETA = int(Slot.STIFFENING)
+_D = int(Slot.DAMAGE)
+_C0 = int(Slot.SERIES_COMPLIANCE)
+_CM = int(Slot.MACHINE_COMPLIANCE)
+_KP = int(Slot.PARALLEL_STIFFNESS)
+_M = int(Slot.CONTACT_EXPONENT)
+_DREF = int(Slot.REFERENCE_DEPTH)
+_FAD = int(Slot.ADHESION)
+_OFF = int(Slot.OFFSET)
+
+_TOLERANCE = 1e-7
+"""Relative change of u at which Newton's iteration may take its last, quadratic step."""
+_SMALLEST = 1e-16
+"""Absolute change of u [m] at which it may."""
+_MOST_ITERATIONS = 60
+
+
+@njit(cache=True, inline='always')  # type: ignore[misc]
+def _memory_weight(x):  # type: ignore[no-untyped-def]
+    """Return x / (1 - exp(-x)) and its derivative."""
+    if x < 0.3:
+        # The closed form loses digits here; the next term of the series is below 1e-12.
+        x2 = x * x
+        value = 1.0 + 0.5 * x + x2 * (1.0 / 12.0 - x2 * (1.0 / 720.0 - x2 / 30240.0))
+        return value, 0.5 + x * (1.0 / 6.0 - x2 * (1.0 / 180.0 - x2 / 5040.0))
+    e = np.exp(-x)
+    m = 1.0 - e
+    return x / m, (m - x * e) / (m * m)
+
+
+@njit(cache=True)  # type: ignore[misc]
+def _end_weight(s):  # type: ignore[no-untyped-def]
+    """Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative."""
+    if s < 1e-2:
+        return 2.0 - s / 3.0, -1.0 / 3.0
+    m = -np.expm1(-s)
+    dm = np.exp(-s)
+    denominator = 1.0 - m / s
+    d_denominator = m / (s * s) - dm / s
+    return m / denominator, (dm * denominator - m * d_denominator) / denominator**2
+
+
+@njit(cache=True, inline='always')  # type: ignore[misc]
+def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore[no-untyped-def]
+    """Return mean force, its slope in u, stiffness, its slope in z, weight, its slope, middle."""
+    middle = z + 0.5 * u
+    stiffening = 1.0 + beta * middle * middle
+    if middle > z_max:
+        left = 1.0 - damage * middle / d_ref
+        d_left = -damage / d_ref
+    else:
+        left = 1.0 - damage * z_max / d_ref
+        d_left = 0.0
+    k = k1 * stiffening * left
+    dk = k1 * (2.0 * beta * middle * left + stiffening * d_left)
+    if c1 > 0.0:
+        w, dw = _memory_weight(k * h / c1)
+        e = c1 / h * w
+        return k * z + e * u, e + 0.5 * dk * (z + dw * u), k, dk, w, dw, middle
+    return k * (z + u), k + 0.5 * dk * (z + u), k, dk, 0.0, 0.0, middle
+
+
+@njit(cache=True, inline='always')  # type: ignore[misc]
+def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
+    """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
+    if f_y == 0.0 and p == 1.0:
+        return force / c2, 1.0 / c2, abs(force)
+    excess = abs(force) - f_y
+    if excess <= 0.0:
+        return 0.0, 0.0, excess
+    if p == 1.0:
+        rate = excess / c2
+        slope = 1.0 / c2
+    else:
+        rate = REFERENCE_RATE * (excess / (c2 * REFERENCE_RATE)) ** p
+        slope = p * rate / excess
+    if force < 0.0:
+        rate = -rate
+    return rate, slope, excess
+
+
+@njit(cache=True)  # type: ignore[misc]
+def _respond(  # type: ignore[no-untyped-def]  # noqa: C901
+    t, d, q, ku, cu, dq, dku, dcu, force, surface, d_force, d_surface
+):
+    steps = t.size - 1
+    units = ku.size
+    directions = dq.shape[0]
+    k1, c1, c2, f_y = q[_K1], q[_C1], q[_C2], q[_FY]
+    beta, damage, d_ref = q[_BETA], q[_D], q[_DREF]
+    c0, cm, kp, m = q[_C0], q[_CM], q[_KP], q[_M]
+    f_ad, offset = q[_FAD], q[_OFF]
+    p = 1.0 / q[_N]
+    plain = beta == 0.0 and damage == 0.0
+    linear = plain and p == 1.0 and f_y == 0.0 and m == 0.0
+    c2_inverse = 1.0 / c2
+
+    # The compliances relax against the viscosities beside them: with this time constant.
+    compliance = c0 + cm
+    fluidity = c2_inverse
+    if c1 > 0.0:
+        fluidity += 1.0 / c1
+    for k in range(units):
+        fluidity += 1.0 / cu[k]
+    d_ln_time = np.zeros(directions)
+    if compliance > 0.0:
+        for j in range(directions):
+            change = -dq[j, _C2] / (c2 * c2)
+            if c1 > 0.0:
+                change -= dq[j, _C1] / (c1 * c1)
+            for k in range(units):
+                change -= dcu[j, k] / (cu[k] * cu[k])
+            d_ln_time[j] = (dq[j, _C0] + dq[j, _CM]) / compliance - change / fluidity
+
+    # State: stretches z (K1), y (flow), zu (units); forces at the step's start of chain and
+    # machine; the surface x; the largest stretch so far. Below, a leading d is the tangent.
+    z = 0.0
+    y = 0.0
+    chain_force = 0.0
+    machine_force = 0.0
+    x = 0.0
+    z_max = 0.0
+    zu = np.zeros(units)
+    left_u = np.zeros(units)
+    dz = np.zeros(directions)
+    dy = np.zeros(directions)
+    d_chain_force = np.zeros(directions)
+    d_machine_force = np.zeros(directions)
+    dx = np.zeros(directions)
+    dz_max = np.zeros(directions)
+    dzu = np.zeros((directions, units))
+
+    contact = False
+    virgin = True
+    rate = 0.0
+    h_known = -1.0
+    w = 1.0
+    dw = 0.0
+    e = k1
+    kappa = 2.0
+    d_kappa = 0.0
+    unit_compliance = 0.0
+    surface[0] = 0.0
+    for j in range(directions):
+        d_surface[j, 0] = 0.0
+
+    for i in range(steps):
+        h = t[i + 1] - t[i]
+        d_end = d[i + 1] + offset
+        if virgin and d_end <= 0.0:
+            force[i] = 0.0
+            surface[i + 1] = 0.0
+            for j in range(directions):
+                d_force[j, i] = 0.0
+                d_surface[j, i + 1] = 0.0
+            continue
+        share = 1.0
+        touching = contact
+        split = False
+        if virgin:
+            virgin = False
+            touching = True
+            gap = -(d[i] + offset)
+            if gap > 0.0:
+                share = d_end / (d_end + gap)
+                split = True
+        if not contact:
+            rate = 0.0
+
+        # Up to three passes: as it was; free where the tool would have to pull; in contact where
+        # the tool catches up with the free surface.
+        while True:
+            hs = h * share
+            if hs != h_known:
+                if plain:
+                    e = k1
+                    if c1 > 0.0:
+                        w, dw = _memory_weight(k1 * hs / c1)
+                        e = c1 / hs * w
+                unit_compliance = 0.0
+                for k in range(units):
+                    left_u[k] = -np.expm1(-ku[k] * hs / cu[k])
+                    unit_compliance += left_u[k] / ku[k]
+                if compliance > 0.0:
+                    kappa, d_kappa = _end_weight(hs * fluidity / compliance)
+                h_known = hs
+            end = kappa if touching else 1.0
+            rest = z + y + (1.0 - end) * c0 * chain_force
+            for k in range(units):
+                rest += zu[k] * (1.0 - left_u[k])
+            ce = unit_compliance + end * c0
+            growth = 1.0
+            d_growth = 0.0
+            stiffness = k1
+            d_stiffness = 0.0
+            ww = w
+            dww = dw
+            if linear:
+                fc = k1 * z
+                slope = e
+                flow = fc * c2_inverse
+                fluid = c2_inverse
+                excess = 1.0
+                x_slope = 1.0 + (hs * fluid + ce) * slope
+                x_end = rest + hs * flow + ce * fc
+                x_mid = 0.5 * (x + x_end)
+                total = fc + kp * x_mid
+                total_slope = slope + 0.5 * x_slope * kp
+                if touching:
+                    g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
+                    g_slope = x_slope + cm * end * total_slope
+                else:
+                    g = total
+                    g_slope = total_slope
+                u = -g / g_slope
+                fc += slope * u
+                flow = fc * c2_inverse
+                x_end += x_slope * u
+                x_mid = 0.5 * (x + x_end)
+                total += total_slope * u
+                middle = z + 0.5 * u
+            else:
+                u = rate * hs
+                for _ in range(_MOST_ITERATIONS):
+                    if plain:
+                        middle = z + 0.5 * u
+                        fc = k1 * z + e * u
+                        slope = e
+                    else:
+                        fc, slope, stiffness, d_stiffness, ww, dww, middle = _retarded_unit(
+                            u, z, z_max, hs, k1, c1, beta, damage, d_ref
+                        )
+                    flow, fluid, excess = _flow_unit(fc, c2, f_y, p)
+                    x_end = rest + u + hs * flow + ce * fc
+                    x_slope = 1.0 + (hs * fluid + ce) * slope
+                    x_mid = 0.5 * (x + x_end)
+                    if m != 0.0:
+                        growth = 0.0
+                        d_growth = 0.0
+                        if x_mid > 0.0:
+                            growth = (x_mid / d_ref) ** m
+                            d_growth = m * growth / x_mid
+                    total = growth * fc + kp * x_mid
+                    total_slope = growth * slope + 0.5 * x_slope * (d_growth * fc + kp)
+                    if touching:
+                        g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
+                        g_slope = x_slope + cm * end * total_slope
+                    elif kp == 0.0:
+                        g = fc
+                        g_slope = slope
+                    else:
+                        g = total
+                        g_slope = total_slope
+                    change = -g / g_slope
+                    u += change
+                    if abs(change) <= _TOLERANCE * abs(u) + _SMALLEST:
+                        break
+                # The last change is of first order in everything that depends on u.
+                fc += slope * change
+                flow += fluid * slope * change
+                x_end += x_slope * change
+                x_mid = 0.5 * (x + x_end)
+                total += total_slope * change
+                middle += 0.5 * change
+            if touching and total < -f_ad:
+                touching = False
+                share = 1.0
+                split = False
+                rate = 0.0
+                contact = True
+                continue
+            if not touching and not contact and x_end < d_end:
+                touching = True
+                contact = True
+                gap_start = x - (d[i] + offset)
+                if gap_start > 0.0:
+                    share = (d_end - x_end) / (gap_start + d_end - x_end)
+                    split = True
+                continue
+            break
+        contact = touching
+
+        if directions > 0:
+            stiffening = 1.0 + beta * middle * middle
+            growing = not plain and middle > z_max
+            left = 1.0 - damage * (middle if growing else z_max) / d_ref
+            inverse = 1.0 / g_slope
+            for j in range(directions):
+                dhs = 0.0
+                if split:
+                    dhs = h * (dq[j, _OFF] - dx[j]) / (d[i + 1] - d[i])
+                if plain:
+                    dk = dq[j, _K1]
+                else:
+                    dk = dq[j, _K1] * stiffness / k1 + d_stiffness * dz[j]
+                if not plain or dq[j, _BETA] != 0.0 or dq[j, _D] != 0.0:
+                    dk += k1 * middle * middle * dq[j, _BETA] * left
+                    if middle > z_max:
+                        dk -= k1 * stiffening * dq[j, _D] * middle / d_ref
+                    else:
+                        dk -= k1 * stiffening * (dq[j, _D] * z_max + damage * dz_max[j]) / d_ref
+                if c1 > 0.0:
+                    de = dww * dk + (ww / hs - dww * stiffness / c1) * dq[j, _C1]
+                    de += (dww * stiffness - c1 / hs * ww) / hs * dhs
+                    dfc = dk * z + stiffness * dz[j] + de * u
+                else:
+                    dfc = dk * (z + u) + stiffness * dz[j]
+                d_flow = -flow * c2_inverse * dq[j, _C2] * p
+                if dq[j, _FY] != 0.0:
+                    d_flow -= (fluid if fc > 0.0 else -fluid) * dq[j, _FY]
+                if dq[j, _N] != 0.0 and excess > 0.0:
+                    d_flow -= flow * np.log(excess / (c2 * REFERENCE_RATE)) * p * p * dq[j, _N]
+                d_end_weight = 0.0
+                if touching and compliance > 0.0:
+                    d_end_weight = (
+                        d_kappa * (hs * fluidity / compliance) * (dhs / hs - d_ln_time[j])
+                    )
+                d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
+                for k in range(units):
+                    inverse_time = ku[k] / cu[k]
+                    kept = 1.0 - left_u[k]
+                    d_kept = -kept * (
+                        hs * (dku[j, k] - inverse_time * dcu[j, k]) / cu[k] + inverse_time * dhs
+                    )
+                    dzu[j, k] = (
+                        kept * dzu[j, k]
+                        + d_kept * (zu[k] - fc / ku[k])
+                        - left_u[k] / (ku[k] * ku[k]) * dku[j, k] * fc
+                    )
+                    d_sum += dzu[j, k]
+                if c0 > 0.0 or dq[j, _C0] != 0.0:
+                    jump = fc - chain_force
+                    d_sum += dq[j, _C0] * (chain_force + end * jump)
+                    d_sum += c0 * ((1.0 - end) * d_chain_force[j] + d_end_weight * jump)
+                d_sum += (hs * fluid + ce) * dfc
+                d_mid = 0.5 * (dx[j] + d_sum)
+                d_scale = d_growth * d_mid
+                if dq[j, _M] != 0.0 and x_mid > 0.0:
+                    d_scale += growth * np.log(x_mid / d_ref) * dq[j, _M]
+                d_total = growth * dfc + d_scale * fc + kp * d_mid + dq[j, _KP] * x_mid
+                if touching:
+                    dg = d_sum - dq[j, _OFF]
+                    if cm > 0.0 or dq[j, _CM] != 0.0:
+                        jump = total - machine_force
+                        dg += dq[j, _CM] * (machine_force + end * jump)
+                        dg += cm * (
+                            d_machine_force[j]
+                            + end * (d_total - d_machine_force[j])
+                            + d_end_weight * jump
+                        )
+                elif kp == 0.0 and dq[j, _KP] == 0.0:
+                    dg = dfc
+                else:
+                    dg = d_total
+                du = -dg * inverse
+                dfc += slope * du
+                d_total += total_slope * du
+                for k in range(units):
+                    dzu[j, k] += left_u[k] / ku[k] * dfc
+                if middle > z_max:
+                    dz_max[j] = dz[j] + 0.5 * du
+                dz[j] += du
+                dy[j] += dhs * flow + hs * (d_flow + fluid * dfc)
+                dx[j] = d_sum + x_slope * du
+                if touching:
+                    d_chain_force[j] += end * (dfc - d_chain_force[j])
+                    d_chain_force[j] += d_end_weight * (fc - chain_force)
+                    d_machine_force[j] += end * (d_total - d_machine_force[j])
+                    d_machine_force[j] += d_end_weight * (total - machine_force)
+                    d_force[j, i] = d_total * share + total * dhs / h
+                else:
+                    d_chain_force[j] = dfc
+                    d_machine_force[j] = 0.0
+                    d_force[j, i] = 0.0
+                d_surface[j, i + 1] = dx[j]
+
+        for k in range(units):
+            zu[k] += left_u[k] * (fc / ku[k] - zu[k])
+        if middle > z_max:
+            z_max = middle
+        z += u
+        y += hs * flow
+        rate = u / hs
+        if touching:
+            chain_force += end * (fc - chain_force)
+            machine_force += end * (total - machine_force)
+            force[i] = total * share
+        else:
+            chain_force = fc
+            machine_force = 0.0
+            force[i] = 0.0
+        x = x_end
+        surface[i + 1] = x_end
