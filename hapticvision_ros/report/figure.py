@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 type Window = tuple[float, float]
-type Role = Literal['measured', 'paper', 'base']
+type Role = Literal['measured', 'tool', 'paper', 'base']
 
 _BINS: Final = 500
 _MARKERS_UP_TO: Final = 150
@@ -52,6 +52,7 @@ _BAND: Final = '#010205'
 _SHADES: Final = ('#010206', '#010207')
 _COLOURS: Final[dict[Role, str]] = {
     'measured': '#010208',
+    'tool': '#01020c',
     'paper': '#010209',
     'base': '#01020a',
 }
@@ -63,11 +64,22 @@ _VARIABLES: Final = {
     _SHADES[0]: 'var(--shade-a)',
     _SHADES[1]: 'var(--shade-b)',
     _COLOURS['measured']: 'var(--measured)',
+    _COLOURS['tool']: 'var(--tool)',
     _COLOURS['paper']: 'var(--paper-fit)',
     _COLOURS['base']: 'var(--base-fit)',
 }
-_DASHES: Final[dict[Role, str]] = {'measured': '-', 'paper': '--', 'base': '-'}
-_WIDTHS: Final[dict[Role, float]] = {'measured': 1.1, 'paper': 1.9, 'base': 1.5}
+_DASHES: Final[dict[Role, str]] = {
+    'measured': '-',
+    'tool': ':',
+    'paper': '--',
+    'base': '-',
+}
+_WIDTHS: Final[dict[Role, float]] = {
+    'measured': 1.1,
+    'tool': 1.3,
+    'paper': 1.9,
+    'base': 1.5,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +89,7 @@ class Series:
 
     Parameters
     ----------
-    role : {'measured', 'paper', 'base'}
+    role : {'measured', 'tool', 'paper', 'base'}
         What it is: decides colour and dashes.
     label : str
         What the legend calls it.
@@ -284,7 +296,7 @@ def svg(panel: Panel, salt: str) -> str:
     str
         An ``<svg>`` element for a page that defines the CSS variables ``--ink``, ``--soft``,
         ``--grid``, ``--band``, ``--shade-a``, ``--shade-b``, ``--measured``,
-        ``--paper-fit`` and ``--base-fit``.
+        ``--tool``, ``--paper-fit`` and ``--base-fit``.
 
     """
     import matplotlib as mpl
