@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--units',
         choices=('si', 'paper'),
         default='si',
-        help="units of the printed table: N/m, or the paper's kgf/mm; files are always SI",
+        help="units of table and report: N/m, or the paper's kgf/mm; result.json is always SI",
     )
 
 
@@ -80,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
     # The numerics take longer to import than a wrong argument takes to be told.
     from hapticvision_ros.core.pipeline import analyse, analyse_campaign
     from hapticvision_ros.core.result import result_document
-    from hapticvision_ros.report import write_report
+    from hapticvision_ros.report.page import write_report
+    from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
 
     trials = _read([*args.bags, *args.hold_out])
     analyses = [analyse(trial) for trial in trials]
@@ -89,17 +90,18 @@ def run(args: argparse.Namespace) -> int:
     document = result_document(
         campaign, [str(bag) for bag in args.bags], [str(bag) for bag in args.hold_out]
     )
+    units = PAPER_UNITS if args.units == 'paper' else SI_UNITS
     result, report = args.out / 'result.json', args.out / 'report.html'
     try:
         args.out.mkdir(parents=True, exist_ok=True)
-        write_report(report, campaign.trials + campaign.held_out, campaign)
+        write_report(report, campaign, units)
         write_json(result, document)
     except OSError as error:
         raise InputError(
             f'{error.filename or args.out} cannot be written ({error.strerror}): choose another '
             '--out.'
         ) from error
-    print_tables(campaign, args.units)
+    print_tables(campaign, units)
     print(f'\nWrote {result} and {report}.')
     return 0
 
@@ -123,19 +125,16 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         raise
 
 
-def print_tables(campaign: 'CampaignAnalysis', units: str) -> None:
+def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:
     """Print the parameters of each trial, what is doubtful, and how far the model misses."""
-    from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
-
-    system = PAPER_UNITS if units == 'paper' else SI_UNITS
     analyses = campaign.trials + campaign.held_out
     print("The paper's method, trial by trial (value ± one standard error):\n")
-    print('\n'.join(_paper_table(analyses, system)))
+    print('\n'.join(_paper_table(analyses, units)))
     for analysis in analyses:
         for line in _doubts(analysis):
             print(f'  {analysis.trial.name}: {line}')
     print(f'\nThe {campaign.before.model} model, fitted to push and hold of all trials:\n')
-    print('\n'.join(_model_table(campaign, system)))
+    print('\n'.join(_model_table(campaign, units)))
     for warning in campaign.warnings:
         print(f'  {warning}')
 

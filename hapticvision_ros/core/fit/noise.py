@@ -27,10 +27,9 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
 
 _WINDOW: Final = 16
 _MIN_BASELINE: Final = 32

@@ -27,9 +27,8 @@ References
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.records import FloatArray
+import numpy as np
 
 _BLOCKS: Final = 256
 

@@ -28,8 +28,6 @@ from dataclasses import dataclass
 import math
 from typing import Final, Literal
 
-import numpy as np
-
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import Noise
 from hapticvision_ros.core.fit.release import (
@@ -40,6 +38,7 @@ from hapticvision_ros.core.fit.release import (
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.models.three_element import maxwell_stretch, respond, ThreeElement
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
 
 MODEL: Final = 'three-element'
 UNITS: Final = {'K1': 'N/m', 'C1': 'N.s/m', 'C2': 'N.s/m'}
