@@ -122,12 +122,10 @@ class DisplacementTracker:
             return None
         return float(np.median(self._heights))
 
-    def reset(self) -> None:
-        """Forget the original height, for the next push at the same place."""
-        self._region = None
-        self._heights.clear()
-        self._counts.clear()
-        self._pushed = False
+    @property
+    def pushed(self) -> bool:
+        """Whether the tool has come to the surface: the original height is then settled."""
+        return self._pushed
 
     def update(self, xyz: PointArray, tool_height: float | None) -> float | None:
         """

@@ -198,6 +198,49 @@ def probe(ros: None) -> Iterator[Probe]:
     made.close()
 
 
+class SimulatedWorld:
+    """A simulated cell in a process of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [str(Path(sys.executable).with_name('simulated_world')), *arguments],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        # Empty when the process has ended instead.
+        words = self._process.stdout.readline().split()
+        assert words[:1] == ['ready'], 'the simulated world did not start'
+        self.port = int(words[1])
+
+    def stop(self) -> None:
+        """End the process; may be called again."""
+        self._process.terminate()
+        try:
+            self._process.wait(STOP_DEADLINE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            raise
+        finally:
+            if self._process.stdout is not None:
+                self._process.stdout.close()
+
+
+@pytest.fixture
+def start_world() -> Iterator[Callable[..., SimulatedWorld]]:
+    """Start simulated worlds that end with the test; arguments as on the command line."""
+    started: list[SimulatedWorld] = []
+
+    def start(*arguments: str) -> SimulatedWorld:
+        world = SimulatedWorld(*arguments)
+        started.append(world)
+        return world
+
+    yield start
+    for world in started:
+        world.stop()
+
+
 @pytest.fixture
 def start_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     """
