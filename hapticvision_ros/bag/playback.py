@@ -18,19 +18,19 @@ A bag's messages in the order in which they were sent, to be played again.
 Whatever the state of the bag, its numbers are kept in memory and its clouds stay in the file.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import BinaryIO
-
-import numpy as np
 
 from hapticvision_ros.bag.bag_files import find_files
 from hapticvision_ros.bag.cdr import IntArray
-from hapticvision_ros.bag.contract import POINTS, Topic, TOPICS
+from hapticvision_ros.bag.contract import POINTS, PROVENANCE, Topic, TOPICS
 from hapticvision_ros.bag.mcap_scan import McapScanner, Place, unpack
 from hapticvision_ros.bag.streams import reconcile
 from hapticvision_ros.core.errors import InputError
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,8 @@ class Playback:
         The contract's topics that the bag holds.
     warnings : tuple of str
         What could not be read or had to be left out.
+    provenance : mapping of str to str
+        Where the data come from.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class Playback:
         times: dict[str, list[tuple[IntArray, IntArray]]] = {}
         rows: dict[str, list[_Entry]] = {}
         warnings = list(bag.warnings)
+        provenance: dict[str, str] = {}
         for file in bag.files:
             scanner = McapScanner(file, by_name.keys())
             for batch in scanner.batches():
@@ -94,18 +97,20 @@ class Playback:
                     )
                     continue
                 times.setdefault(topic.name, []).append((batch.publish_ns, batch.log_ns))
-                spans = zip(batch.starts.tolist(), batch.sizes.tolist(), strict=True)
+                stops = batch.starts + batch.sizes
+                spans = zip(batch.starts.tolist(), stops.tolist(), strict=True)
                 rows.setdefault(topic.name, []).extend(
                     _Entry(
                         topic,
-                        None if topic is POINTS else batch.data[start : start + size].tobytes(),
+                        None if topic is POINTS else batch.data[start:stop].tobytes(),
                         batch.place,
                         start,
-                        size,
+                        stop - start,
                     )
-                    for start, size in spans
+                    for start, stop in spans
                 )
             warnings += scanner.faults
+            provenance |= scanner.metadata.get(PROVENANCE, {})
         if not rows:
             raise InputError(f'{path} holds no message of the contract: there is nothing to play.')
         sent: list[IntArray] = []
@@ -119,6 +124,7 @@ class Playback:
         self._entries = entries
         self.topics = tuple(topic for topic in TOPICS if topic.name in rows)
         self.warnings = tuple(dict.fromkeys(warnings))
+        self.provenance: Mapping[str, str] = MappingProxyType(provenance)
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -179,7 +185,8 @@ class _PlaceReader:
             if place != self._place:
                 self._file.seek(place.position)
                 self._records, self._place = unpack(place, self._file.read(place.size)), place
-            data = self._records[entry.start : entry.start + entry.size]
+            start, stop = entry.start, entry.start + entry.size
+            data = self._records[start:stop]
         if len(data) < entry.size:
             raise ValueError('the file has become shorter')
         return data

@@ -23,13 +23,12 @@ timestamp of the same sender.
 from array import array
 from typing import Any, Final
 
+from hapticvision_ros.nodes.conversions import ns_from_stamp
+from hapticvision_ros.nodes.intake import Intake
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-
-from hapticvision_ros.nodes.conversions import ns_from_stamp
-from hapticvision_ros.nodes.intake import Intake
 
 type Nanoseconds = NDArray[np.int64]
 

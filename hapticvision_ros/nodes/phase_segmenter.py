@@ -22,9 +22,6 @@ topic, it begins when the tool comes down again after a recovery.
 import math
 from typing import Final
 
-import numpy as np
-from rclpy.clock import Clock, ClockType
-
 from hapticvision_ros.bag.contract import (
     CONTACT_TIME,
     DETECTED_PHASE,
@@ -46,6 +43,8 @@ from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher
 from hapticvision_ros.nodes.runtime import CellNode, run
+import numpy as np
+from rclpy.clock import Clock, ClockType
 
 NAME: Final = 'phase_segmenter'
 

@@ -30,10 +30,6 @@ import time
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
-from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
-
 from hapticvision_ros.bag.contract import (
     C1,
     C2,
@@ -57,6 +53,9 @@ from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_service
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.nodes.trial_buffer import TrialBuffer
+from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
 
 NAME: Final = 'rheology_fitter'
 
@@ -250,11 +249,13 @@ class RheologyFitter(CellNode):
         return response
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        """Forget the trial, and keep all that comes from now on."""
+        """Forget the trial, keep all that comes from now on, answer with the topics heard."""
         self._take()
         self._begin()
         self._reset = True
+        heard = [topic.name for topic, intake in self._intakes.items() if intake.matched]
         response.success = True
+        response.message = ' '.join(heard)
         return response
 
     def _on_tick(self) -> None:

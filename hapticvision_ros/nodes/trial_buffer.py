@@ -25,15 +25,14 @@ from pathlib import Path
 import tempfile
 from typing import Final, IO
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.bag.cdr import Decoder
 from hapticvision_ros.bag.contract import POINTS, Topic
 from hapticvision_ros.bag.mcap_scan import Batch, Channel, Place
 from hapticvision_ros.bag.reader import TrialStreams
 from hapticvision_ros.core.records import Trial
 from hapticvision_ros.nodes.clock import Nanoseconds
+import numpy as np
+from numpy.typing import NDArray
 
 _NOWHERE: Final = Place(Path(), 0, 0, '', 0)
 
