@@ -18,15 +18,14 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.bag import cdr
 from hapticvision_ros.bag.cdr import BoolArray, IntArray, NS_PER_S
 from hapticvision_ros.bag.clouds import BagClouds, CloudLayout, CloudReference, read_layout
 from hapticvision_ros.bag.contract import PHASES, Topic
 from hapticvision_ros.bag.mcap_scan import Batch, Channel, Place
 from hapticvision_ros.core.records import FloatArray, Signal
+import numpy as np
+from numpy.typing import NDArray
 
 CLOCK_TOLERANCE_NS: Final = 10 * NS_PER_S
 """
@@ -248,13 +247,15 @@ class NumberStream(Stream):
         timed = self.in_order(start_ns)
         if timed.t.size == 0:
             return None
-        if timed.t.size == 1:
-            self.warn('it has one sample only')
-        elif timed.t.size >= FEWEST_FOR_INTERVALS:
+        if self.topic.rate_hz is not None:
             self._judge_intervals(timed.t)
         return Signal(timed.t, timed.payload.astype(np.float64, copy=False))
 
     def _judge_intervals(self, t: FloatArray) -> None:
+        if t.size == 1:
+            self.warn('it has one sample only')
+        if t.size < FEWEST_FOR_INTERVALS:
+            return
         intervals = np.diff(t)
         low, middle, high = np.quantile(intervals, (0.05, 0.5, 0.95))
         gaps = np.flatnonzero(intervals > GAP_FACTOR * high)
@@ -286,7 +287,7 @@ class WrenchStream(NumberStream):
             self._frame_known = True
             first = int(np.argmax(readable))
             start = int(batch.starts[first])
-            decoder = cdr.Decoder(batch.data[start : start + int(batch.sizes[first])].data)
+            decoder = cdr.Decoder(batch.data[start:][: int(batch.sizes[first])].data)
             decoder.stamp()
             frame_id = decoder.string()
             if frame_id != self.topic.frame_id:
@@ -306,7 +307,7 @@ class TextStream(Stream):
         readable = np.zeros(batch.starts.size, np.bool_)
         for row, (start, size) in enumerate(zip(batch.starts, batch.sizes, strict=True)):
             try:
-                texts[row] = cdr.decode_string(batch.data[start : start + size].data)
+                texts[row] = cdr.decode_string(batch.data[start:][:size].data)
                 readable[row] = True
             except ValueError:
                 continue
@@ -343,7 +344,7 @@ class CloudStream(Stream):
             zip(batch.starts.tolist(), batch.sizes.tolist(), strict=True)
         ):
             try:
-                layout = read_layout(batch.data[start : start + size].data)
+                layout = read_layout(batch.data[start:][:size].data)
             except ValueError as error:
                 self.refuse(f'cannot be used ({error})', 1)
                 continue

@@ -42,6 +42,7 @@ from hapticvision_ros.bag.contract import (
     Qos,
     TOOL_HEIGHT,
     Topic,
+    TOPICS,
     WRENCH,
 )
 from hapticvision_ros.core.errors import InputError
@@ -138,6 +139,9 @@ class BagWriter:
         self._first_ns: int | None = None
         self._last_ns = 0
         self._closed = False
+        for topic in TOPICS:
+            # The definitions take a while once; better now than at the first message.
+            _definition(topic.msgtype)
         if path.exists():
             raise InputError(f'{path} exists already: remove it or choose another name')
         try:
