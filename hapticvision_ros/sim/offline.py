@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
-import numpy as np
-
 from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
@@ -36,6 +34,7 @@ from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.scene import RangeRenderer, Scene
 from hapticvision_ros.sim.world import Readings, World
+import numpy as np
 
 START_NS = 1_700_000_000 * 10**9
 """Stamp of virtual time zero in a synthetic bag [ns since the epoch]."""

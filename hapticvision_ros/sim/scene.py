@@ -17,12 +17,11 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
 from hapticvision_ros.sim.config import Block, RangeSensorModel
+import numpy as np
+from numpy.typing import NDArray
 
 type BoolArray = NDArray[np.bool_]
 type IndexArray = NDArray[np.intp]

@@ -97,7 +97,7 @@ class WorldServer:
 
     @property
     def port(self) -> int:
-        """The UDP port that is served."""
+        """Return the UDP port that is served."""
         port: int = self._socket.getsockname()[1]
         return port
 

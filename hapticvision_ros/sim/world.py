@@ -105,22 +105,22 @@ class World:
 
     @property
     def time(self) -> float:
-        """Virtual time [s]."""
+        """Return the virtual time [s]."""
         return self._steps * self._config.time_step
 
     @property
     def tool_height(self) -> float:
-        """Height of the tool tip above the support plane [m], as it is."""
+        """Return the height of the tool tip above the support plane [m], as it is."""
         return self._tool_height
 
     @property
     def displacement(self) -> float:
-        """Depth H of the dent under the tool [m], as it is."""
+        """Return the depth H of the dent under the tool [m], as it is."""
         return self._object.displacement
 
     @property
     def contact_force(self) -> float:
-        """Force of the object on the tool [N], as it is."""
+        """Return the force of the object on the tool [N], as it is."""
         return self._object.force
 
     def set_push_velocity(self, push_velocity: float) -> None:

@@ -15,9 +15,8 @@
 
 """The simulated cell that the tests of this folder start from."""
 
-import pytest
-
 from hapticvision_ros.sim.config import load_config, WorldConfig
+import pytest
 
 
 @pytest.fixture(scope='session')

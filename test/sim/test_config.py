@@ -18,12 +18,11 @@
 from math import inf
 from pathlib import Path
 
-import pytest
-import yaml
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.units import KGF_PER_MM
 from hapticvision_ros.sim.config import default_config_path, load_config, WorldConfig
+import pytest
+import yaml
 
 
 def changed(tmp_path: Path, *keys: str, value: object) -> Path:

@@ -19,11 +19,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import exp, inf, sin
 
+from hapticvision_ros.sim.objects import DeformableObject, Material
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-
-from hapticvision_ros.sim.objects import DeformableObject, Material
 
 STEP = 2.5e-4
 DOUGH = Material(
@@ -85,7 +84,8 @@ def test_free_recovery_is_the_yield_force_over_k1_with_the_retardation_time() ->
         return push_and_hold(t) if t <= release else -0.02
 
     times, forces, displacements = press(DOUGH, path, release + 10.0)
-    assert max(forces[round(release / STEP) + 1 :]) == 0.0
+    first_free = round(release / STEP) + 1
+    assert max(forces[first_free:]) == 0.0
     final = displacements[-1]
     recovered = at(times, displacements, release + STEP) - final
     assert recovered == pytest.approx(6.0 / 2000.0, rel=1e-3)

@@ -19,16 +19,15 @@ from dataclasses import fields, replace
 from pathlib import Path
 import struct
 
-from mcap.reader import make_reader
-import numpy as np
-import pytest
-
 from hapticvision_ros.bag.contract import PHASES, POINTS, TOPICS
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.offline import CloudPlan, record_trial, TrialPlan
+from mcap.reader import make_reader
+import numpy as np
+import pytest
 
 # No round numbers: their bytes would be found in any file.
 MATERIAL = Material(

@@ -18,13 +18,12 @@
 from dataclasses import replace
 from math import atan2, cos, radians, sin
 
-import numpy as np
-import pytest
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import PointArray
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.scene import RangeRenderer, Scene
+import numpy as np
+import pytest
 
 UP, DEPTH = 0.080, 0.008
 

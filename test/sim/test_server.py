@@ -24,9 +24,6 @@ import subprocess
 import sys
 import time
 
-import numpy as np
-import pytest
-
 from hapticvision_ros.core.devices import Arm, ArmState
 from hapticvision_ros.core.errors import DeviceError
 from hapticvision_ros.sim.config import WorldConfig
@@ -37,6 +34,8 @@ from hapticvision_ros.sim.devices import (
     place_new_sample,
 )
 from hapticvision_ros.sim.protocol import decode, encode
+import numpy as np
+import pytest
 
 COMMAND = (sys.executable, '-c', 'from hapticvision_ros.sim.server import main; exit(main())')
 PATIENCE = 10.0

@@ -24,14 +24,13 @@ from dataclasses import replace
 from math import hypot, sqrt
 from pathlib import Path
 
-import pytest
-
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.fit.paper import PaperResult
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.offline import CloudPlan, record_trial, TrialPlan
+import pytest
 
 
 @pytest.mark.parametrize('name', ['spring1', 'spring2', 'spring3'])

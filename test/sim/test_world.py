@@ -17,12 +17,11 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.world import Readings, World
+import numpy as np
+import pytest
 
 
 def world_of(config: WorldConfig, name: str = 'soft_dough', seed: int = 1) -> World:
