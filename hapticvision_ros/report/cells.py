@@ -55,6 +55,18 @@ def cell(estimate: Estimate, unit: Unit) -> Cell:
     return Cell(format_quantity(estimate.value, unit, estimate.std), True, note)
 
 
+def bare(estimate: Estimate, unit: Unit) -> Cell:
+    """Return an estimate for a column whose head tells the unit."""
+    return cell(estimate, Unit('', unit.in_si))
+
+
+def size(estimate: Estimate, unit: Unit) -> Cell:
+    """Return an estimate of which only the size matters, such as a noise: two digits, no error."""
+    if estimate.value is None:
+        return cell(estimate, unit)
+    return Cell(format_quantity(estimate.value, unit, digits=2), True, estimate.reason or '')
+
+
 def optional(value: float | None, unit: Unit) -> Cell:
     """Return a plain number as a cell, or that it was not found."""
     if value is None:

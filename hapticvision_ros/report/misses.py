@@ -20,8 +20,6 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.fit.waveform import Prediction
 from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
 from hapticvision_ros.core.records import FloatArray
@@ -31,6 +29,7 @@ from hapticvision_ros.report.quantities import (
     SI_UNITS,
     UnitSystem,
 )
+import numpy as np
 
 ROUGH: Final = 2
 """Digits of a misfit: it is a size, not a measurement."""

@@ -32,10 +32,10 @@ BASE_HEIGHT_LABEL: Final = 'three-element model with the parameters of push and 
 MEASURED_LABEL: Final = 'measured'
 TOOL_LABEL: Final = 'tool'
 _INSTANTS: Final = (
-    ('t_contact', 'push', '$T_c$'),
-    ('t_hold', 'hold', '$T_s$'),
-    ('t_release', 'release', '$T_e$'),
-    ('t_loss', 'recover', '$t_{loss}$'),
+    ('t_contact', 'push', 'T_c'),
+    ('t_hold', 'hold', 'T_s'),
+    ('t_release', 'release', 'T_e'),
+    ('t_loss', 'recover', 't_loss'),
 )
 
 

@@ -21,11 +21,12 @@ from typing import Final
 from hapticvision_ros.core.fit.waveform import ModelError
 from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
-from hapticvision_ros.report.cells import Cell, cell, optional
+from hapticvision_ros.report.cells import bare, Cell, cell, optional, size
 from hapticvision_ros.report.quantities import (
     Dimension,
     display_unit,
     format_number,
+    Unit,
     UnitSystem,
 )
 
@@ -43,7 +44,11 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     """Return what the template shows."""
     fit = campaign.before
     return {
-        'columns': [(symbol, index) for _, symbol, index, _ in COLUMNS],
+        'speed_unit': units['speed'].symbol,
+        'length_unit': units['length'].symbol,
+        'columns': [
+            (symbol, index, units[dimension].symbol) for _, symbol, index, dimension in COLUMNS
+        ],
         'rows': [
             _row(number, analysis, units)
             for number, analysis in enumerate((*campaign.trials, *campaign.held_out), start=1)
@@ -54,8 +59,8 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
             for name, estimate in fit.parameters.items()
         ],
         'noise': [
-            ('Force', cell(campaign.noise.force, units['force'])),
-            ('Displacement height', cell(campaign.noise.height, units['length'])),
+            ('Force', size(campaign.noise.force, units['force'])),
+            ('Displacement height', size(campaign.noise.height, units['length'])),
         ],
         'errors': [
             (name, *_errors(error, units))
@@ -73,9 +78,9 @@ def _row(number: int, analysis: TrialAnalysis, units: UnitSystem) -> Mapping[str
     return {
         'number': number,
         'name': analysis.trial.name,
-        'speed': optional(phases.push_speed, units['speed']),
-        'depth': optional(phases.depth, units['length']),
-        'cells': [cell(estimate, units[dimension]) for estimate, dimension in estimates],
+        'speed': optional(phases.push_speed, Unit('', units['speed'].in_si)),
+        'depth': optional(phases.depth, Unit('', units['length'].in_si)),
+        'cells': [bare(estimate, units[dimension]) for estimate, dimension in estimates],
     }
 
 
