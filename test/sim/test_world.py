@@ -97,6 +97,14 @@ def test_the_arm_stops_by_itself_when_no_command_comes(config: WorldConfig) -> N
     assert travel == pytest.approx(0.01 * config.arm.watchdog, rel=0.1)
 
 
+def test_a_late_world_does_not_blame_the_commander(config: WorldConfig) -> None:
+    world = world_of(config)
+    world.set_push_velocity(0.01, at=0.5)
+    world.advance(0.5)
+    travel = config.arm.start_height - world.tool_height
+    assert travel == pytest.approx(0.01 * 0.49, rel=1e-6), '20 ms at half speed to accelerate'
+
+
 @pytest.mark.parametrize(('velocity', 'end'), [(-0.1, 'highest_height'), (0.1, 'lowest_height')])
 def test_the_arm_rests_at_its_end_stops(config: WorldConfig, velocity: float, end: str) -> None:
     world = world_of(config, 'spring1')
