@@ -34,6 +34,7 @@ NODES = (
 
 WHAT_RUNS = (HERE / 'requirements.in').read_text().partition('# What checks.')[0]
 REQUIREMENTS = [line for line in WHAT_RUNS.splitlines() if not line.startswith('#')]
+TOOLS = ('bag_player', 'experiment_client')
 
 
 def shared(folder: str, pattern: str) -> tuple[str, list[str]]:
@@ -68,7 +69,7 @@ setup(
         'console_scripts': [
             'hapticvision = hapticvision_ros.cli.main:main',
             'simulated_world = hapticvision_ros.sim.server:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {NAME}.nodes.{node}:main' for node in (*NODES, *TOOLS)),
         ],
     },
 )

@@ -81,11 +81,12 @@ class ExperimentClient:
         self._status = 0
         self._heard = time.monotonic()
         self._told = ''
+        self._fitted = 0
         self._interrupted = False
         create_subscription(self._node, EXPERIMENT_FEEDBACK, self._on_feedback)
         create_subscription(self._node, EXPERIMENT_STATUS, self._on_status)
         create_subscription(self._node, EXPERIMENT_RESULT, self._on_result)
-        create_subscription(self._node, RHEOLOGY_RESULT, self._on_rheology)
+        self._rheology = create_subscription(self._node, RHEOLOGY_RESULT, self._on_rheology)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -144,6 +145,9 @@ class ExperimentClient:
                 raise ExperimentError(
                     f'{SERVER} has been silent for too long: see whether it runs.'
                 )
+        complete = int(values_from_status(self._result)['complete'])
+        if self._node.count_publishers(self._rheology.topic_name):
+            self._spin_until(lambda: self._fitted >= complete or self._interrupted)
         self._tell_result()
         return EXIT_CODES[self._status]
 
@@ -192,6 +196,7 @@ class ExperimentClient:
 
     def _on_rheology(self, message: Any) -> None:
         if self._goal_id:
+            self._fitted += 1
             print(f'fitted: {message.message}', flush=True)
 
     def _tell_result(self) -> None:
