@@ -24,8 +24,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.planning import (
     finite_points,
@@ -34,6 +32,7 @@ from hapticvision_ros.core.planning import (
     plan_contact,
 )
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
+import numpy as np
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""

@@ -20,10 +20,6 @@ Clouds are kept as bytes, the latest only, and are read while a plan is asked fo
 
 from typing import Any, Final
 
-import numpy as np
-from rclpy.serialization import deserialize_message
-from rclpy.task import Future
-
 from hapticvision_ros.bag.contract import CONTACT_POINT, PLAN, POINTS, PUSH_DIRECTION, TOOL_HEIGHT
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.planning import ContactPlan, plan_contact, PlanningSettings
@@ -41,6 +37,10 @@ from hapticvision_ros.nodes.qos import (
     interface_class,
 )
 from hapticvision_ros.nodes.runtime import CellNode, run
+import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
 
 NAME: Final = 'contact_point_planner'
 
@@ -145,7 +145,7 @@ class ContactPointPlanner(CellNode):
         self._push_direction = create_publisher(self, PUSH_DIRECTION)
         create_subscription(self, POINTS, self._on_cloud, raw=True)
         create_subscription(self, TOOL_HEIGHT, self._on_tool_height)
-        create_service(self, PLAN, self._plan)
+        create_service(self, PLAN, self._plan, callback_group=ReentrantCallbackGroup())
 
     def _on_tool_height(self, message: Any) -> None:
         self._tool_height = float(message.data)

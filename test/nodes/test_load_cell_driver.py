@@ -17,12 +17,11 @@
 import math
 import signal
 
+from hapticvision_ros.bag.contract import TARE, WRENCH
+from hapticvision_ros.nodes.conversions import contact_force, ns_from_stamp
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
-
-from hapticvision_ros.bag.contract import TARE, WRENCH
-from hapticvision_ros.nodes.conversions import contact_force, ns_from_stamp
 
 
 @pytest.fixture

@@ -16,12 +16,11 @@
 
 from importlib import import_module
 
-import pytest
-import yaml
-
 from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.nodes import parameters
 from hapticvision_ros.nodes.parameters import config_file, default_values, ParameterSpec
+import pytest
+import yaml
 
 NODES = (
     'range_sensor_driver',
