@@ -18,6 +18,7 @@ Start the seven nodes of the cell, and the simulated world unless ``sim:=false``
 ``ros2 launch hapticvision_ros cell.launch.py object:=dough namespace:=cell1``
 """
 
+from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
@@ -30,8 +31,6 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
-
-from launch import LaunchDescription
 
 PACKAGE = 'hapticvision_ros'
 NODES = (

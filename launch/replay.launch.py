@@ -18,12 +18,11 @@ Play a bag through the phase segmenter and the rheology fitter, and show the fit
 ``ros2 launch hapticvision_ros replay.launch.py bag:=/path/to/bag rate:=2.0``
 """
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
-
-from launch import LaunchDescription
 
 PACKAGE = 'hapticvision_ros'
 ARGUMENTS = (
