@@ -103,7 +103,7 @@ def test_each_ray_ends_where_it_first_meets_the_surface(config: WorldConfig) -> 
         before = part < 1.0 - 0.0003 / length
         way = origin + part * (ends[before] - origin)
         depth = below_surface(scene, DEPTH, way)
-        assert not np.any(depth > 2e-5)
+        assert not np.any(depth > 2e-6)
 
 
 def test_the_tool_hides_the_dent_while_it_is_down(config: WorldConfig) -> None:
