@@ -37,6 +37,7 @@ from mcap.writer import CompressionType
 import numpy as np
 import pytest
 
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
 MS = 1_000_000
 START_NS = 1_700_000_000_123_456_789
 
@@ -111,7 +112,7 @@ def test_gaps_are_counted(maker, foreign: Foreign) -> None:
     samples.sort(key=lambda sample: sample.publish_ns)
     warning = only_warning(read_trial(foreign(samples)))
     assert warning.startswith(WRENCH.name)
-    assert '1 gaps, the longest 0.051 s at 0.099 s' in warning
+    assert '1 gap, the longest 0.051 s at 0.099 s' in warning
 
 
 def test_jitter_is_told(maker, foreign: Foreign) -> None:
@@ -165,6 +166,16 @@ def test_without_points_and_displacement_the_displacement_is_unknown(
     assert trial.displacement_height is None and trial.clouds is None
     assert trial.displacement_source == 'none'
     assert DISPLACEMENT_HEIGHT.name in only_warning(trial)
+
+
+def test_where_it_was_not_recorded_the_displacement_comes_from_the_points() -> None:
+    (bag,) = (BAGS / 'synthetic_clouds').glob('*/')
+    trial = read_trial(bag)
+    assert trial.displacement_source == 'points'
+    # The tool went 5 mm deep: what is left once it has risen is a part of that.
+    assert 0.0 < trial.displacement_height.value.max() < 0.005
+    trial = read_trial(bag, displacement_from_points=False)
+    assert (trial.displacement_source, trial.displacement_height) == ('none', None)
 
 
 def test_messages_of_the_wrong_type_are_left_out(maker, foreign: Foreign) -> None:
