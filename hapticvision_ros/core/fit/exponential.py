@@ -109,7 +109,7 @@ class ExponentialFit:
 
     @property
     def drop(self) -> tuple[float, float]:
-        """Return how far the curve falls over the fitted record, and the standard error of that."""
+        """Return how far the curve falls over the record, and the standard error of that."""
         at_start = self.referred_to(self.start)
         left = math.exp(-self.span / self.time_constant)
         gradient = np.array(
