@@ -21,6 +21,7 @@ renderer of noisy clouds can do without.
 """
 
 from collections.abc import Callable
+from functools import partial
 from statistics import median
 from time import process_time
 
@@ -51,16 +52,13 @@ def main() -> None:
     random = np.random.default_rng(1)
     print('frame       dent seen  tool down  every ray anew  noise alone')
     for width, height in ((160, 120), (640, 480)):
-
-        def cast_anew(width: int = width, height: int = height) -> RangeRenderer:
-            return RangeRenderer(scene, width=width, height=height, depth_noise=5e-4, seed=1)
-
-        def noise(pixels: int = width * height) -> object:
-            return random.standard_normal(pixels, dtype=np.float32)
-
+        cast_anew = partial(
+            RangeRenderer, scene, width=width, height=height, depth_noise=5e-4, seed=1
+        )
+        noise = partial(random.standard_normal, width * height, dtype=np.float32)
         renderer = cast_anew()
-        up = milliseconds(lambda renderer=renderer: renderer.render(0.08, 0.008))
-        down = milliseconds(lambda renderer=renderer: renderer.render(0.032, 0.008))
+        up = milliseconds(partial(renderer.render, 0.08, 0.008))
+        down = milliseconds(partial(renderer.render, 0.032, 0.008))
         anew, least = milliseconds(cast_anew), milliseconds(noise)
         print(
             f'{width} x {height}   {up:6.2f} ms  {down:6.2f} ms  {anew:6.2f} ms ({anew / up:.1f}x)'
