@@ -1,9 +1,24 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
-from setuptools import find_packages, setup
+from setuptools import find_namespace_packages, setup
 
-HERE = Path(__file__).parent
+# Through the link that `colcon build --symlink-install` makes.
+HERE = Path(__file__).resolve().parent
 NAME = 'hapticvision_ros'
 MANIFEST = ElementTree.parse(HERE / 'package.xml').getroot()
 
@@ -17,6 +32,10 @@ NODES = (
     'experiment_orchestrator',
 )
 
+WHAT_RUNS = (HERE / 'requirements.in').read_text().partition('# What checks.')[0]
+REQUIREMENTS = [line for line in WHAT_RUNS.splitlines() if not line.startswith('#')]
+TOOLS = ('bag_player', 'experiment_client')
+
 
 def shared(folder: str, pattern: str) -> tuple[str, list[str]]:
     """Return the entry that installs a folder's files into the package's share."""
@@ -29,8 +48,10 @@ setup(
     version=MANIFEST.findtext('version'),
     description=MANIFEST.findtext('description'),
     license=MANIFEST.findtext('license'),
-    packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    packages=find_namespace_packages(
+        include=[NAME, f'{NAME}.*'], exclude=['*.__pycache__', '*.__pycache__.*']
+    ),
+    package_data={NAME: ['py.typed'], f'{NAME}.report.templates': ['*']},
     include_package_data=True,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -39,12 +60,16 @@ setup(
         shared('config', '*'),
         shared('msg_docs', '*.md'),
     ],
+    # Where ROS is installed already, its own Python packages must not be shadowed by wheels.
+    install_requires=[name for name in REQUIREMENTS if not name.startswith('ros-')],
+    extras_require={'ros': [name for name in REQUIREMENTS if name.startswith('ros-')]},
+    python_requires='>=3.12',
     zip_safe=True,
     entry_points={
         'console_scripts': [
             'hapticvision = hapticvision_ros.cli.main:main',
             'simulated_world = hapticvision_ros.sim.server:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {NAME}.nodes.{node}:main' for node in (*NODES, *TOOLS)),
         ],
     },
 )

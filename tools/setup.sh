@@ -104,7 +104,7 @@ install_lock() {
 
 explain() {
     reason=$(grep -iE 'error|no space' "$log" | tail -n 1)
-    if grep -qiE 'resolution|connect|timed? ?out|unreachable|network' "$log"; then
+    if grep -qiE 'resolution|connect|timed? ?out|unreachable|network|versions: none' "$log"; then
         fail "the package index cannot be reached; connect to the network (or set PIP_INDEX_URL\
  to a mirror) and run it again. Last error: $reason"
     fi

@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hapticvision_ros.core.errors import InputError
+import yaml
 
 
 @dataclass(frozen=True, slots=True)

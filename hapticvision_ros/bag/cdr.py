@@ -32,11 +32,10 @@ from functools import lru_cache
 import struct
 from typing import Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
+import numpy as np
+from numpy.typing import NDArray
 
 type ByteArray = NDArray[np.uint8]
 type IntArray = NDArray[np.int64]
@@ -312,7 +311,8 @@ class Decoder:
     def string(self) -> str:
         """Return the text at the next aligned place."""
         start = self.skip(self.number('I'))
-        return bytes(self._data[start : self.position]).rstrip(b'\x00').decode(errors='replace')
+        stop = self.position
+        return bytes(self._data[start:stop]).rstrip(b'\x00').decode(errors='replace')
 
     def skip(self, size: int) -> int:
         """Step over `size` bytes; return where they begin."""

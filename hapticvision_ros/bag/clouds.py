@@ -19,12 +19,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, Final
 
-import numpy as np
-
 from hapticvision_ros.bag.cdr import Decoder, FLOAT32
 from hapticvision_ros.bag.mcap_scan import Place, unpack
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import CloudFrame, PointArray
+import numpy as np
 
 FLOAT64: Final = 8
 """`PointField.datatype` of a float64."""
@@ -239,7 +238,8 @@ class BagClouds:
                     if run != place:
                         stored = _read(file, place.position, place.size)
                         records, run = memoryview(unpack(place, stored)), place
-                    message = records[reference.start : reference.start + reference.size]
+                    start, stop = reference.start, reference.start + reference.size
+                    message = records[start:stop]
                 points = view_points(message, reference.layout)
                 yield CloudFrame(reference.t, points, reference.layout.frame_id)
         except (OSError, ValueError) as error:

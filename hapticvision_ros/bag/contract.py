@@ -335,3 +335,11 @@ SERVICES: Final = (
 )
 
 PHASES: Final = ('approach', 'push', 'hold', 'release', 'recover', 'done', 'aborted')
+
+PROVENANCE: Final = 'provenance'
+"""
+Name of the MCAP metadata record that tells where the data come from: a map of texts.
+
+``displacement_source: tool`` in it says that one recorded displacement serves as both the tool's
+and the object's.
+"""

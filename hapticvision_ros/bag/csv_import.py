@@ -33,14 +33,13 @@ import re
 import shutil
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.bag.contract import Qos, Topic
 from hapticvision_ros.bag.writer import METADATA_FILE, write_signals
 from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.records import FloatArray, Signal
 from hapticvision_ros.core.units import FORCE_UNITS, LENGTH_UNITS, TIME_UNITS
+import numpy as np
+from numpy.typing import NDArray
 
 UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     'time': TIME_UNITS,
@@ -112,7 +111,7 @@ class Column:
 
     @property
     def scale(self) -> float:
-        """The SI value of one unit."""
+        """Return the SI value of one unit."""
         return UNITS[self.quantity][self.unit]
 
     @classmethod
@@ -355,7 +354,8 @@ def _body(lines: Sequence[str], header: _Header) -> tuple[list[str], NDArray[np.
     """Return the rows below the header and their line numbers."""
     rows, numbers = [], []
     blank = header.delimiter + ' \t"'
-    for number, line in enumerate(lines[header.index + 1 :], start=header.index + 2):
+    first = header.index + 1
+    for number, line in enumerate(lines[first:], start=first + 1):
         if line.strip(blank) and not line.lstrip().startswith(COMMENT_MARKS):
             rows.append(line)
             numbers.append(number)
@@ -385,19 +385,19 @@ def _careful_values(
 ) -> _Cells:
     """Return the cells of any file, NaN where one is no number."""
     table: list[list[str]] = []
-    wide = []
-    kept = []
+    wide, kept = [], []
+    width = len(header.names)
     for row, number in zip(rows, numbers.tolist(), strict=True):
         cells = _cells(row, header.delimiter)
-        if any(cells[len(header.names) :]):
+        if any(cells[width:]):
             wide.append(number)
             continue
-        cells += [''] * (len(header.names) - len(cells))
+        cells += [''] * (width - len(cells))
         table.append([cells[place] for place in places])
         kept.append(number)
     if len(wide) > MAX_LOST_SHARE * len(rows):
         raise InputError(
-            f'{path}, line {wide[0]}: more cells than the {len(header.names)} columns of the '
+            f'{path}, line {wide[0]}: more cells than the {width} columns of the '
             'header; where the decimal mark is a comma, columns must be separated by semicolons, '
             'tabs or quotes.'
         )

@@ -32,10 +32,9 @@ import struct
 from typing import BinaryIO, Final
 import zlib
 
-import numpy as np
-
 from hapticvision_ros.bag.cdr import ByteArray, IntArray
 from hapticvision_ros.core.errors import InputError
+import numpy as np
 
 MAGIC: Final = b'\x89MCAP0\r\n'
 
@@ -200,11 +199,11 @@ class _Fields:
         self.position = 0
 
     def take(self, size: int) -> bytes:
-        start = self.position
-        self.position += size
-        if self.position > len(self.data):
+        start, stop = self.position, self.position + size
+        if stop > len(self.data):
             raise ValueError('the record ends too early')
-        return self.data[start : self.position]
+        self.position = stop
+        return self.data[start:stop]
 
     def integer(self, size: int) -> int:
         return int.from_bytes(self.take(size), 'little')
@@ -344,9 +343,10 @@ class McapScanner:
         except ValueError:
             self._damaged_records += len(body) == length
             return
-        stored = body[fields.position : fields.position + stored_size]
+        start, stop = fields.position, fields.position + stored_size
+        stored = body[start:stop]
         cut = len(body) < length
-        place = Place(self.path, position + fields.position, len(stored), compression, size, cut)
+        place = Place(self.path, position + start, len(stored), compression, size, cut)
         try:
             records = unpack(place, stored)
             if not cut and checksum not in (0, zlib.crc32(records)):
@@ -376,7 +376,8 @@ class McapScanner:
                 else:
                     found[channel] = [position]
             elif opcode in _IN_CHUNKS:
-                self._define(opcode, records[position + _HEAD.size : following])
+                start = position + _HEAD.size
+                self._define(opcode, records[start:following])
             elif not inside_chunk:
                 break
             position = following

@@ -18,15 +18,14 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.bag import cdr
 from hapticvision_ros.bag.cdr import BoolArray, IntArray, NS_PER_S
 from hapticvision_ros.bag.clouds import BagClouds, CloudLayout, CloudReference, read_layout
 from hapticvision_ros.bag.contract import PHASES, Topic
 from hapticvision_ros.bag.mcap_scan import Batch, Channel, Place
 from hapticvision_ros.core.records import FloatArray, Signal
+import numpy as np
+from numpy.typing import NDArray
 
 CLOCK_TOLERANCE_NS: Final = 10 * NS_PER_S
 """
@@ -248,9 +247,10 @@ class NumberStream(Stream):
         timed = self.in_order(start_ns)
         if timed.t.size == 0:
             return None
-        if timed.t.size == 1:
+        if timed.t.size == 1 and self.topic.rate_hz is not None:
             self.warn('it has one sample only')
-        elif timed.t.size >= FEWEST_FOR_INTERVALS:
+        # Other topics may pause: the dent is hidden while the tool is down.
+        if self.topic.required and timed.t.size >= FEWEST_FOR_INTERVALS:
             self._judge_intervals(timed.t)
         return Signal(timed.t, timed.payload.astype(np.float64, copy=False))
 
@@ -261,8 +261,8 @@ class NumberStream(Stream):
         if gaps.size:
             longest = int(np.argmax(intervals))
             self.warn(
-                f'{gaps.size} gaps, the longest {intervals[longest]:.3g} s at {t[longest]:.3f} s '
-                f'(an interval is {middle:.3g} s)'
+                f'{gaps.size} {"gap" if gaps.size == 1 else "gaps"}, the longest '
+                f'{intervals[longest]:.3g} s at {t[longest]:.3f} s (an interval is {middle:.3g} s)'
             )
         if high - low > middle:
             self.warn(
@@ -286,7 +286,7 @@ class WrenchStream(NumberStream):
             self._frame_known = True
             first = int(np.argmax(readable))
             start = int(batch.starts[first])
-            decoder = cdr.Decoder(batch.data[start : start + int(batch.sizes[first])].data)
+            decoder = cdr.Decoder(batch.data[start:][: int(batch.sizes[first])].data)
             decoder.stamp()
             frame_id = decoder.string()
             if frame_id != self.topic.frame_id:
@@ -306,7 +306,7 @@ class TextStream(Stream):
         readable = np.zeros(batch.starts.size, np.bool_)
         for row, (start, size) in enumerate(zip(batch.starts, batch.sizes, strict=True)):
             try:
-                texts[row] = cdr.decode_string(batch.data[start : start + size].data)
+                texts[row] = cdr.decode_string(batch.data[start:][:size].data)
                 readable[row] = True
             except ValueError:
                 continue
@@ -343,7 +343,7 @@ class CloudStream(Stream):
             zip(batch.starts.tolist(), batch.sizes.tolist(), strict=True)
         ):
             try:
-                layout = read_layout(batch.data[start : start + size].data)
+                layout = read_layout(batch.data[start:][:size].data)
             except ValueError as error:
                 self.refuse(f'cannot be used ({error})', 1)
                 continue

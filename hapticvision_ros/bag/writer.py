@@ -22,6 +22,7 @@ only when it is whole.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import lru_cache
 import heapq
 import os
@@ -31,23 +32,24 @@ import time
 from types import TracebackType
 from typing import Any, cast, Final, Literal, Self
 
-from mcap.writer import CompressionType, Writer
-import numpy as np
-import yaml
-
 from hapticvision_ros.bag import cdr
 from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
     POINTS,
+    PROVENANCE,
     PUSH_VELOCITY,
     Qos,
     TOOL_HEIGHT,
     Topic,
+    TOPICS,
     WRENCH,
 )
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
+from mcap.writer import CompressionType, Writer
+import numpy as np
+import yaml
 
 type Compression = Literal['none', 'lz4', 'zstd']
 
@@ -58,8 +60,6 @@ FLUSH_PERIOD_S: Final = 1.0
 METADATA_FILE: Final = 'metadata.yaml'
 METADATA_VERSION: Final = 9
 ROS_DISTRO: Final = 'jazzy'
-PROVENANCE: Final = 'provenance'
-"""Name of the MCAP metadata record that tells where the data come from."""
 
 _COMPRESSIONS: Final = {
     'none': CompressionType.NONE,
@@ -139,6 +139,9 @@ class BagWriter:
         self._first_ns: int | None = None
         self._last_ns = 0
         self._closed = False
+        for topic in TOPICS:
+            # The definitions take a while once; better now than at the first message.
+            _definition(topic.msgtype)
         if path.exists():
             raise InputError(f'{path} exists already: remove it or choose another name')
         try:
@@ -256,12 +259,14 @@ class BagWriter:
             return
         self._closed = True
         try:
-            information = self._information()
-            self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump_yaml(information)})
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
+            with self._file:
+                information = self._information()
+                self._writer.add_metadata(
+                    'rosbag2', {'serialized_metadata': _dump_yaml(information)}
+                )
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.flush()
+                os.fsync(self._file.fileno())
             if not self._bare:
                 text = _dump_yaml({'rosbag2_bagfile_information': information})
                 partial = self._target / f'.{METADATA_FILE}.partial'
@@ -270,11 +275,15 @@ class BagWriter:
             if not self._live:
                 self._target.rename(self.path)
         except OSError as error:
+            if not self._live:
+                self._discard()
             raise self._failure(error) from error
 
     def _discard(self) -> None:
         self._closed = True
-        self._file.close()
+        # What is still in the buffer is not wanted; it may be what did not fit on the disk.
+        with suppress(OSError):
+            self._file.close()
         if self._bare:
             self._target.unlink(missing_ok=True)
         else:

@@ -70,38 +70,97 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--units',
         choices=('si', 'paper'),
         default='si',
-        help="units of the printed table: N/m, or the paper's kgf/mm; files are always SI",
+        help="units of table and report: N/m, or the paper's kgf/mm; result.json is always SI",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit the bags, print a table and write the results."""
     _check(args)
+    from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
+
+    units = PAPER_UNITS if args.units == 'paper' else SI_UNITS
+    campaign = fit_bags(args.bags, args.hold_out)
+    result, report = write_results(args.out, campaign, args.bags, args.hold_out, units)
+    print_tables(campaign, units)
+    print(f'\nWrote {result} and {report}.')
+    return 0
+
+
+def fit_bags(bags: Sequence[Path], hold_out: Sequence[Path]) -> 'CampaignAnalysis':
+    """
+    Read bags and fit them together.
+
+    Parameters
+    ----------
+    bags, hold_out : sequence of Path
+        Bags to fit, and bags only to compare with.
+
+    Returns
+    -------
+    CampaignAnalysis
+        What they tell.
+
+    Raises
+    ------
+    InputError
+        If a bag cannot be read.
+
+    """
     # The numerics take longer to import than a wrong argument takes to be told.
     from hapticvision_ros.core.pipeline import analyse, analyse_campaign
-    from hapticvision_ros.core.result import result_document
-    from hapticvision_ros.report import write_report
 
-    trials = _read([*args.bags, *args.hold_out])
-    analyses = [analyse(trial) for trial in trials]
-    count = len(args.bags)
-    campaign = analyse_campaign(analyses[:count], analyses[count:])
-    document = result_document(
-        campaign, [str(bag) for bag in args.bags], [str(bag) for bag in args.hold_out]
-    )
-    result, report = args.out / 'result.json', args.out / 'report.html'
+    count = len(bags)
+    analyses = [analyse(trial) for trial in _read([*bags, *hold_out])]
+    return analyse_campaign(analyses[:count], analyses[count:])
+
+
+def write_results(
+    out: Path,
+    campaign: 'CampaignAnalysis',
+    bags: Sequence[Path],
+    hold_out: Sequence[Path],
+    units: 'UnitSystem',
+) -> tuple[Path, Path]:
+    """
+    Write ``result.json`` and ``report.html``.
+
+    Parameters
+    ----------
+    out : Path
+        The folder; it is made if it is not there.
+    campaign : CampaignAnalysis
+        What was found.
+    bags, hold_out : sequence of Path
+        The bags, as they are named in the result.
+    units : mapping of str to Unit
+        Units of the report; the result is always SI.
+
+    Returns
+    -------
+    tuple of Path
+        The result and the report.
+
+    Raises
+    ------
+    InputError
+        If they cannot be written.
+
+    """
+    from hapticvision_ros.core.result import result_document
+    from hapticvision_ros.report.page import write_report
+
+    document = result_document(campaign, [str(bag) for bag in bags], [str(b) for b in hold_out])
+    result, report = out / 'result.json', out / 'report.html'
     try:
-        args.out.mkdir(parents=True, exist_ok=True)
-        write_report(report, campaign.trials + campaign.held_out, campaign)
+        out.mkdir(parents=True, exist_ok=True)
+        write_report(report, campaign, units)
         write_json(result, document)
     except OSError as error:
         raise InputError(
-            f'{error.filename or args.out} cannot be written ({error.strerror}): choose another '
-            '--out.'
+            f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
         ) from error
-    print_tables(campaign, args.units)
-    print(f'\nWrote {result} and {report}.')
-    return 0
+    return result, report
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
@@ -123,19 +182,16 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         raise
 
 
-def print_tables(campaign: 'CampaignAnalysis', units: str) -> None:
+def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:
     """Print the parameters of each trial, what is doubtful, and how far the model misses."""
-    from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
-
-    system = PAPER_UNITS if units == 'paper' else SI_UNITS
     analyses = campaign.trials + campaign.held_out
     print("The paper's method, trial by trial (value ± one standard error):\n")
-    print('\n'.join(_paper_table(analyses, system)))
+    print('\n'.join(_paper_table(analyses, units)))
     for analysis in analyses:
         for line in _doubts(analysis):
             print(f'  {analysis.trial.name}: {line}')
     print(f'\nThe {campaign.before.model} model, fitted to push and hold of all trials:\n')
-    print('\n'.join(_model_table(campaign, system)))
+    print('\n'.join(_model_table(campaign, units)))
     for warning in campaign.warnings:
         print(f'  {warning}')
 
@@ -197,6 +253,7 @@ def _paper_table(analyses: 'Sequence[TrialAnalysis]', system: 'UnitSystem') -> l
 
 def _model_table(campaign: 'CampaignAnalysis', system: 'UnitSystem') -> list[str]:
     """Return the lines on the parameters of the model and on how far it misses."""
+    from hapticvision_ros.report.misses import verdicts
     from hapticvision_ros.report.quantities import format_quantity
 
     units = {'K1': system['stiffness'], 'C1': system['viscosity'], 'C2': system['viscosity']}
@@ -204,25 +261,11 @@ def _model_table(campaign: 'CampaignAnalysis', system: 'UnitSystem') -> list[str
     rows = [[f'{name} [{units[name].symbol}]' for name in parameters]]
     rows += [[_cell(estimate, units[name]) for name, estimate in parameters.items()]]
     lines = [*_aligned(rows), '']
+    lines += verdicts(campaign, system)
     error = campaign.before.train
-    if error is not None and error.force_rmse is not None:
-        lines.append(
-            f'It misses the force by {format_quantity(error.force_rmse, system["force"])} rms:'
-        )
-    misses = [
-        *zip(campaign.trials, campaign.before.predictions, strict=True),
-        *zip(campaign.held_out, campaign.before.held_out_predictions, strict=True),
-    ]
-    for analysis, prediction in misses:
-        if prediction is not None:
-            told = ', '.join(
-                f'{100.0 * miss.share_of_peak:.1f} % of the peak in the {miss.phase}'
-                for miss in prediction.misses
-            )
-            lines.append(f'  {analysis.trial.name}: {told}')
     if error is not None and error.height_rmse is not None:
         height = format_quantity(error.height_rmse, system['length'])
-        lines.append(f'and the free recovery that it predicts by {height} rms.')
+        lines.append(f'The free recovery that it predicts is off by {height} rms.')
     held_out = campaign.before.held_out
     if held_out is not None and held_out.force_rmse is not None:
         force = format_quantity(held_out.force_rmse, system['force'])

@@ -140,6 +140,7 @@ class Supervisor:
         self._stages: list[list[_Child]] = []
         self._exits: queue.Queue[str] = queue.Queue()
         self._print_lock = threading.Lock()
+        self._broken: BrokenPipeError | None = None
         self._readers: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
@@ -238,8 +239,10 @@ class Supervisor:
 
         """
         while True:
+            if self._broken is not None:
+                raise self._broken
             try:
-                name = self._exits.get(timeout=1.0)
+                name = self._exits.get(timeout=0.5)
             except queue.Empty:
                 continue
             popen = self._child(name).popen
@@ -265,6 +268,13 @@ class Supervisor:
     def _child(self, name: str) -> _Child:
         return next(child for stage in self._stages for child in stage if child.name == name)
 
+    def _pass_on(self, line: str) -> None:
+        try:
+            self._show(line)
+        except BrokenPipeError as error:
+            # Whoever reads our output has left: `wait` tells the main thread.
+            self._broken = error
+
     def _read(self, child: _Child) -> None:
         """Pass on what a process says, until it ends."""
         assert child.popen.stdout is not None
@@ -273,7 +283,7 @@ class Supervisor:
                 text = line.rstrip('\n')
                 child.lines.put(text)
                 with self._print_lock:
-                    self._show(child.prefix + text)
+                    self._pass_on(child.prefix + text)
         child.popen.wait()
         self._exits.put(child.name)
 

@@ -24,8 +24,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.planning import (
     finite_points,
@@ -34,6 +32,7 @@ from hapticvision_ros.core.planning import (
     plan_contact,
 )
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
+import numpy as np
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
@@ -122,12 +121,10 @@ class DisplacementTracker:
             return None
         return float(np.median(self._heights))
 
-    def reset(self) -> None:
-        """Forget the original height, for the next push at the same place."""
-        self._region = None
-        self._heights.clear()
-        self._counts.clear()
-        self._pushed = False
+    @property
+    def pushed(self) -> bool:
+        """Whether the tool has come to the surface: the original height is then settled."""
+        return self._pushed
 
     def update(self, xyz: PointArray, tool_height: float | None) -> float | None:
         """

@@ -106,7 +106,7 @@ class PlannedTrial:
 
     @property
     def name(self) -> str:
-        """The name of the trial's bag, such as ``trial_003_5.0mm_s_10mm_r1``."""
+        """Return the name of the trial's bag, such as ``trial_003_5.0mm_s_10mm_r1``."""
         speed = f'{self.push_speed / MM:.6g}'
         if '.' not in speed and 'e' not in speed:
             speed += '.0'
@@ -316,12 +316,12 @@ class Experiment:
 
     @property
     def step(self) -> Step:
-        """What is to be done now."""
+        """Return what is to be done now."""
         return self._step
 
     @property
     def trial(self) -> PlannedTrial:
-        """The trial at hand; the last one when all are over."""
+        """Return the trial at hand; the last one when all are over."""
         return self.trials[self._index]
 
     @property
@@ -348,7 +348,8 @@ class Experiment:
         def pushing(trial: PlannedTrial) -> float:
             return trial.depth / trial.push_speed + goal.hold_time + goal.recover_time
 
-        left = sum(goal.rest_time + pushing(trial) for trial in self.trials[self._index + 1 :])
+        following = self._index + 1
+        left = sum(goal.rest_time + pushing(trial) for trial in self.trials[following:])
         if self._step in (Step.STOP, Step.FINISH, Step.DISABLE, Step.END):
             return left
         if self._step is Step.REST:
@@ -455,7 +456,8 @@ class Experiment:
             self._trial_reason = f'nothing was received on {lacking}'
         self.outcomes.append(TrialOutcome(self.trial, outcome, bag, self._trial_reason))
         if self.status is GoalStatus.EXECUTING and not self.reason:
-            last = self.outcomes[-self._max_failures :]
+            most = self._max_failures
+            last = self.outcomes[-most:]
             if len(last) == self._max_failures and all(
                 item.outcome is not Outcome.COMPLETE for item in last
             ):

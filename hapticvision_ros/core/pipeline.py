@@ -53,7 +53,7 @@ class TrialAnalysis:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """All that a reader of the numbers must know, from the file to the fit."""
+        """Return all that a reader of the numbers must know, from the file to the fit."""
         return self.trial.warnings + self.segmentation.warnings + self.paper.warnings
 
 

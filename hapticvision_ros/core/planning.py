@@ -23,11 +23,10 @@ normal.
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
+import numpy as np
+from numpy.typing import NDArray
 
 type BoolArray = NDArray[np.bool_]
 

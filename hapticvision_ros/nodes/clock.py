@@ -20,21 +20,23 @@ replay, and only ``/clock`` ties the two together: its messages bear the bag's t
 timestamp of the same sender.
 """
 
+from array import array
 from typing import Any, Final
 
+from hapticvision_ros.nodes.conversions import ns_from_stamp
+from hapticvision_ros.nodes.intake import Intake
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-
-from hapticvision_ros.nodes.conversions import ns_from_stamp
-from hapticvision_ros.nodes.intake import Intake
 
 type Nanoseconds = NDArray[np.int64]
 
 OWN_TICK_NS: Final = 200_000
 """A tick that was sent no longer than this before a message was sent for it [ns]."""
 CLOCK_DEPTH: Final = 2000
+MOST_TICKS: Final = 4_000_000
+"""Ticks that are kept at most: 64 MB."""
 
 
 def replayed_times(sent: Nanoseconds, tick_sent: Nanoseconds, tick: Nanoseconds) -> Nanoseconds:
@@ -90,8 +92,8 @@ class MessageClock:
 
     def __init__(self, node: Any) -> None:
         self.replay = bool(node.get_parameter('use_sim_time').value)
-        self._sent: list[int] = []
-        self._tick: list[int] = []
+        self._sent = array('q')
+        self._tick = array('q')
         if self.replay:
             profile = QoSProfile(depth=CLOCK_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT)
             self._intake = Intake(node, Clock, '/clock', profile, raw=False)
@@ -102,16 +104,13 @@ class MessageClock:
             for message, sent_ns, _ in self._intake.take():
                 self._sent.append(sent_ns)
                 self._tick.append(ns_from_stamp(message.clock))
+            if len(self._sent) > MOST_TICKS:
+                self.forget(MOST_TICKS // 2)
 
     def forget(self, keep: int) -> None:
         """Forget all ticks but the last `keep`."""
         del self._sent[:-keep]
         del self._tick[:-keep]
-
-    @property
-    def newest_sent(self) -> int | None:
-        """When the last tick was sent [ns]; None without ticks."""
-        return self._sent[-1] if self._sent else None
 
     def times(self, sent: Nanoseconds) -> Nanoseconds:
         """
@@ -124,5 +123,5 @@ class MessageClock:
         if not self._tick:
             return sent[:0]
         return replayed_times(
-            sent, np.asarray(self._sent, dtype=np.int64), np.asarray(self._tick, dtype=np.int64)
+            sent, np.array(self._sent, dtype=np.int64), np.array(self._tick, dtype=np.int64)
         )

@@ -27,13 +27,12 @@ from typing import Any, Final
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, Vector3Stamped, WrenchStamped
-import numpy as np
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Float64, String
-
 from hapticvision_ros.core.devices import RangeFrame, WrenchSample
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import PointArray
+import numpy as np
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Float64, String
 
 NS_PER_S: Final = 1_000_000_000
 

@@ -31,14 +31,6 @@ import uuid
 from action_msgs import msg as action
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.clock import Clock, ClockType
-from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
-from unique_identifier_msgs.msg import UUID
-
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
     ENABLE,
@@ -73,6 +65,13 @@ from hapticvision_ros.nodes.qos import create_client, create_publisher, create_s
 from hapticvision_ros.nodes.recorder import missing_topics, Recording, writable_folder
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.sim.devices import place_new_sample
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from unique_identifier_msgs.msg import UUID
 
 NAME: Final = 'experiment_orchestrator'
 ARM_NODE: Final = 'arm_push_controller'

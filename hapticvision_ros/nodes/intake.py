@@ -23,10 +23,9 @@ wait in the middleware's queue, and takes all of them at each tick of its timer.
 from collections.abc import Iterator
 from typing import Any, Final, Self
 
-from rclpy.callback_groups import CallbackGroup
-
 from hapticvision_ros.bag.contract import POINTS, Topic
 from hapticvision_ros.nodes.qos import interface_class, relative_name, subscription_profile
+from rclpy.callback_groups import CallbackGroup
 
 SCALAR_DEPTH: Final = 2000
 """Queue length of all but clouds: a replay may be many times faster than the cell."""
@@ -77,6 +76,11 @@ class Intake:
             profile.depth = max(profile.depth, SCALAR_DEPTH)
         kind = interface_class(topic.msgtype)
         return cls(node, kind, relative_name(topic.name), profile, raw=raw)
+
+    @property
+    def matched(self) -> bool:
+        """Whether some publisher is heard."""
+        return bool(self._subscription.get_publisher_count())
 
     def take(self) -> Iterator[tuple[Any, int, int]]:
         """

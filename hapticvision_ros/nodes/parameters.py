@@ -24,6 +24,8 @@ import math
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.share import share_folder
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -31,9 +33,6 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 import yaml
-
-from hapticvision_ros.core.errors import InputError, UsageError
-from hapticvision_ros.share import share_folder
 
 type Kind = Literal['bool', 'integer', 'double', 'string', 'double_array']
 type Check = Callable[[Mapping[str, Any]], str | None]

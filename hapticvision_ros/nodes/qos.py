@@ -18,9 +18,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
-
 from hapticvision_ros.bag.contract import Qos, Service, Topic
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 
 def interface_class(type_name: str) -> Any:
@@ -92,10 +91,24 @@ def create_subscription(
     )
 
 
-def create_service(node: Any, service: Service, callback: Callable[[Any, Any], Any]) -> Any:
-    """Return a server of a contract service, in the node's namespace."""
+def create_service(
+    node: Any,
+    service: Service,
+    callback: Callable[[Any, Any], Any],
+    *,
+    callback_group: Any = None,
+) -> Any:
+    """
+    Return a server of a contract service, in the node's namespace.
+
+    A coroutine as `callback` needs a group of its own: the node's default group runs nothing else
+    while the coroutine waits.
+    """
     return node.create_service(
-        interface_class(service.srvtype), relative_name(service.name), callback
+        interface_class(service.srvtype),
+        relative_name(service.name),
+        callback,
+        callback_group=callback_group,
     )
 
 

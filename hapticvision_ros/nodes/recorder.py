@@ -27,8 +27,14 @@ import queue
 import threading
 from typing import Final
 
-from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, POINTS, Topic, TOPICS
-from hapticvision_ros.bag.writer import BagWriter, PROVENANCE
+from hapticvision_ros.bag.contract import (
+    DISPLACEMENT_HEIGHT,
+    POINTS,
+    PROVENANCE,
+    Topic,
+    TOPICS,
+)
+from hapticvision_ros.bag.writer import BagWriter
 from hapticvision_ros.core.errors import HapticVisionError, InputError
 
 TRIAL: Final = 'trial'

@@ -25,13 +25,12 @@ import sys
 import threading
 from typing import Any, Final
 
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
+from hapticvision_ros.nodes.parameters import Parameters, ParameterSpec
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-
-from hapticvision_ros.core.errors import HapticVisionError, UsageError
-from hapticvision_ros.nodes.parameters import Parameters, ParameterSpec
 
 STOP_POLL: Final = 0.1
 """Longest time between a signal and the begin of the shutdown [s]."""

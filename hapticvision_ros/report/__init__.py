@@ -12,4 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+
 """The HTML report: one section, one file, one template."""
+
+from hapticvision_ros.report.page import write_report
+
+__all__ = ['write_report']

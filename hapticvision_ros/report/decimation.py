@@ -17,9 +17,8 @@
 
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.records import FloatArray
+import numpy as np
 
 _GAP_IN_INTERVALS: Final = 10.0
 _GAP_IN_SPAN: Final = 0.01

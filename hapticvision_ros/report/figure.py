@@ -21,20 +21,30 @@ import math
 import re
 from typing import Final, Literal, TYPE_CHECKING
 
-import numpy as np
-
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.report.decimation import line
+import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 type Window = tuple[float, float]
-type Role = Literal['measured', 'paper', 'base']
+type Role = Literal['measured', 'tool', 'paper', 'base']
 
 _BINS: Final = 500
 _MARKERS_UP_TO: Final = 150
-_ROOM_FOR_A_NAME: Final = 0.13
+_ROOM_FOR_A_LETTER: Final = 0.009
+_ROOM_BESIDE_A_NAME: Final = 0.035
+_COLUMNS: Final = (1.0, 2.3)
+# A layout that is computed from the extent of every label takes longer than all the drawing.
+_MARGINS: Final = {
+    'left': 0.078,
+    'right': 0.992,
+    'bottom': 0.115,
+    'top': 0.83,
+    'hspace': 0.1,
+    'wspace': 0.12,
+}
 _CLOSE_UP_BELOW: Final = 0.2
 _WIDTH_IN: Final = 9.6
 _HEIGHT_IN: Final = 4.3
@@ -50,8 +60,10 @@ _GRID: Final = '#010204'
 _SOFT: Final = '#01020b'
 _BAND: Final = '#010205'
 _SHADES: Final = ('#010206', '#010207')
+_INDEX: Final = '<tspan dy="0.25em" font-size="75%">'
 _COLOURS: Final[dict[Role, str]] = {
     'measured': '#010208',
+    'tool': '#01020c',
     'paper': '#010209',
     'base': '#01020a',
 }
@@ -63,11 +75,22 @@ _VARIABLES: Final = {
     _SHADES[0]: 'var(--shade-a)',
     _SHADES[1]: 'var(--shade-b)',
     _COLOURS['measured']: 'var(--measured)',
+    _COLOURS['tool']: 'var(--tool)',
     _COLOURS['paper']: 'var(--paper-fit)',
     _COLOURS['base']: 'var(--base-fit)',
 }
-_DASHES: Final[dict[Role, str]] = {'measured': '-', 'paper': '--', 'base': '-'}
-_WIDTHS: Final[dict[Role, float]] = {'measured': 1.1, 'paper': 1.9, 'base': 1.5}
+_DASHES: Final[dict[Role, str]] = {
+    'measured': '-',
+    'tool': ':',
+    'paper': '--',
+    'base': '-',
+}
+_WIDTHS: Final[dict[Role, float]] = {
+    'measured': 1.1,
+    'tool': 1.3,
+    'paper': 1.9,
+    'base': 1.5,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +100,7 @@ class Series:
 
     Parameters
     ----------
-    role : {'measured', 'paper', 'base'}
+    role : {'measured', 'tool', 'paper', 'base'}
         What it is: decides colour and dashes.
     label : str
         What the legend calls it.
@@ -105,7 +128,7 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """An instant [s] with its symbol."""
+    """An instant [s] with its symbol, such as ``T_c``: what follows the mark is an index."""
 
     t: float
     symbol: str
@@ -220,6 +243,8 @@ def _close_up(panel: Panel, span: Window) -> Window | None:
     push = next((phase for phase in panel.phases if phase.name == 'push'), None)
     if push is None or push.stop - push.start > _CLOSE_UP_BELOW * (span[1] - span[0]):
         return None
+    if not any(np.any((one.t > push.start) & (one.t < push.stop)) for one in panel.residuals):
+        return None  # No fit to be judged there.
     length = push.stop - push.start
     return max(span[0], push.start - 0.5 * length), min(span[1], push.stop + 1.0 * length)
 
@@ -229,8 +254,12 @@ def _span(panel: Panel) -> Window:
     return float(measured[0]), float(measured[-1])
 
 
-def _label_phases(axes: 'Axes', panel: Panel, window: Window) -> None:
-    """Write the instants above the frame, and the phases where there is room for them."""
+def _label_phases(axes: 'Axes', panel: Panel, window: Window, share: float) -> None:
+    """
+    Write the instants above the frame, and the phases where there is room for them.
+
+    The panel takes `share` of the picture's width.
+    """
     transform = axes.get_xaxis_transform()
     width = window[1] - window[0]
     right_of_last = -math.inf
@@ -239,7 +268,8 @@ def _label_phases(axes: 'Axes', panel: Panel, window: Window) -> None:
         if not window[0] <= mark.t <= window[1]:
             continue
         # Two instants too close to each other to be told apart stand one above the other.
-        row = row + 1 if mark.t - right_of_last < 0.035 * width else 0
+        close = share * (mark.t - right_of_last) < _ROOM_BESIDE_A_NAME * width
+        row = row + 1 if close else 0
         right_of_last = mark.t
         axes.text(
             mark.t,
@@ -250,10 +280,12 @@ def _label_phases(axes: 'Axes', panel: Panel, window: Window) -> None:
             va='bottom',
             color=_INK,
             fontsize=9,
+            style='italic',
         )
     for phase in panel.phases:
         start, stop = max(phase.start, window[0]), min(phase.stop, window[1])
-        if stop - start > _ROOM_FOR_A_NAME * width:
+        room = _ROOM_BESIDE_A_NAME + _ROOM_FOR_A_LETTER * len(phase.name)
+        if share * (stop - start) > room * width:
             axes.text(
                 0.5 * (start + stop),
                 1.015,
@@ -284,7 +316,7 @@ def svg(panel: Panel, salt: str) -> str:
     str
         An ``<svg>`` element for a page that defines the CSS variables ``--ink``, ``--soft``,
         ``--grid``, ``--band``, ``--shade-a``, ``--shade-b``, ``--measured``,
-        ``--paper-fit`` and ``--base-fit``.
+        ``--tool``, ``--paper-fit`` and ``--base-fit``.
 
     """
     import matplotlib as mpl
@@ -294,6 +326,7 @@ def svg(panel: Panel, salt: str) -> str:
     span = _span(panel)
     close_up = _close_up(panel, span)
     windows = [span] if close_up is None else [close_up, span]
+    shares = [1.0] if close_up is None else [one / sum(_COLUMNS) for one in _COLUMNS]
     with mpl.rc_context(
         {
             'svg.fonttype': 'none',
@@ -314,7 +347,8 @@ def svg(panel: Panel, salt: str) -> str:
             'path.simplify': True,
         }
     ):
-        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), layout='constrained')
+        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN))
+        figure.subplots_adjust(**_MARGINS)
         FigureCanvasSVG(figure)
         figure.patch.set_alpha(0.0)
         rows = 2 if panel.residuals else 1
@@ -324,13 +358,13 @@ def svg(panel: Panel, salt: str) -> str:
             squeeze=False,
             sharex='col',
             height_ratios=[2.6, 1.0][:rows],
-            width_ratios=[1.0, 2.3] if close_up else [1.0],
+            width_ratios=shares,
         )
         for column, window in enumerate(windows):
             top = grid[0][column]
             for series in panel.lines:
                 _draw(top, series, window, thin=False)
-            _label_phases(top, panel, window)
+            _label_phases(top, panel, window, shares[column])
             content = [(top, panel.lines)]
             if panel.residuals:
                 bottom = grid[1][column]
@@ -356,12 +390,13 @@ def svg(panel: Panel, salt: str) -> str:
         grid[0][0].set_ylabel(f'{panel.quantity} [{panel.unit}]')
         if panel.residuals:
             grid[1][0].set_ylabel(f'Residual [{panel.unit}]')
-        figure.align_ylabels(grid[:, 0])
+        for axes in grid[:, 0]:
+            axes.yaxis.set_label_coords(-0.052 / shares[0], 0.5)
         handles, labels = grid[0][-1].get_legend_handles_labels()
         figure.legend(
             handles,
             labels,
-            loc='outside upper center',
+            loc='upper center',
             ncols=len(labels),
             frameon=False,
             handlelength=2.4,
@@ -373,12 +408,13 @@ def svg(panel: Panel, salt: str) -> str:
 
 def _for_a_page(document: str) -> str:
     """Return the ``<svg>`` element of a document, small and in the page's colours."""
-    element = document[document.index('<svg') :]
+    element = document.removeprefix(document.partition('<svg')[0])
     element = re.sub(r'<metadata>.*?</metadata>\s*', '', element, flags=re.DOTALL)
     element = re.sub(r'<style type="text/css">.*?</style>\s*', '', element, flags=re.DOTALL)
     # Identifiers of groups repeat from picture to picture; nothing refers to them.
     element = re.sub(r'<g id="[^"]*"', '<g', element)
     element = re.sub(r' d="[^"]*"', _short_path, element)
+    element = re.sub(r'>(\w)_(\w+)</text>', rf'>\1{_INDEX}\2</tspan></text>', element)
     for placeholder, variable in _VARIABLES.items():
         element = element.replace(placeholder, variable)
     return re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1">', element, count=1)

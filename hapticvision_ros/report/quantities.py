@@ -27,7 +27,6 @@ THIN_SPACE: Final = '\u202f'
 MINUS: Final = '\u2212'
 PLUS_MINUS: Final = '\u00b1'
 
-_DIGITS_WITHOUT_ERROR: Final = 4
 _DIGITS_OF_ERROR: Final = 2
 _UNGROUPED_DIGITS: Final = 3
 _LARGEST_PLAIN_EXPONENT: Final = 6
@@ -85,6 +84,23 @@ PAPER_UNITS: Final[UnitSystem] = MappingProxyType(
 """The units of the paper's Table 3."""
 
 
+_DIMENSIONS: Final[dict[str, Dimension]] = {
+    'N': 'force',
+    'm': 'length',
+    's': 'time',
+    'N/m': 'stiffness',
+    'N.s/m': 'viscosity',
+    'm/s': 'speed',
+    '-': 'one',
+}
+
+
+def display_unit(si_unit: str, units: UnitSystem) -> Unit:
+    """Return the unit in which a quantity with a given SI unit is printed."""
+    dimension = _DIMENSIONS.get(si_unit)
+    return Unit(si_unit, 1.0) if dimension is None else units[dimension]
+
+
 def _grouped(text: str) -> str:
     """Return digits in groups of three (ISO 80000-1), with a true minus sign."""
     whole, point, decimals = text.partition('.')
@@ -111,7 +127,7 @@ def _power(exponent: int) -> str:
     return f'{THIN_SPACE}×{THIN_SPACE}10{superscript}'
 
 
-def format_number(value: float, std: float | None = None) -> str:
+def format_number(value: float, std: float | None = None, digits: int = 4) -> str:
     """
     Return a number as text, with no more digits than its error allows.
 
@@ -121,7 +137,9 @@ def format_number(value: float, std: float | None = None) -> str:
         The number, finite.
     std : float or None
         Its standard error, in the same unit. The error is printed with two digits and the number
-        to the same place; without an error four digits are printed.
+        to the same place.
+    digits : int
+        Digits of a number without an error.
 
     Returns
     -------
@@ -144,7 +162,7 @@ def format_number(value: float, std: float | None = None) -> str:
         power = 0
     scaled = value / 10.0**power
     if std is None or std < sys.float_info.min:
-        last = _exponent(scaled) - _DIGITS_WITHOUT_ERROR + 1
+        last = _exponent(scaled) - digits + 1
         return _fixed(scaled, last) + (_power(power) if power else '')
     error = std / 10.0**power
     last = _exponent(error) - _DIGITS_OF_ERROR + 1
@@ -152,7 +170,7 @@ def format_number(value: float, std: float | None = None) -> str:
     return f'({both}){_power(power)}' if power else both
 
 
-def format_quantity(value: float, unit: Unit, std: float | None = None) -> str:
+def format_quantity(value: float, unit: Unit, std: float | None = None, digits: int = 4) -> str:
     """
     Return an SI `value` in `unit`, with its unit's symbol.
 
@@ -164,6 +182,8 @@ def format_quantity(value: float, unit: Unit, std: float | None = None) -> str:
         The unit to print.
     std : float or None
         Its standard error in SI units.
+    digits : int
+        Digits of a number without an error.
 
     Returns
     -------
@@ -171,7 +191,8 @@ def format_quantity(value: float, unit: Unit, std: float | None = None) -> str:
         For example ``(5 011 ± 12) N/m``.
 
     """
-    text = format_number(unit.from_si(value), None if std is None else unit.from_si(std))
+    scaled_std = None if std is None else unit.from_si(std)
+    text = format_number(unit.from_si(value), scaled_std, digits)
     if not unit.symbol:
         return text
     if PLUS_MINUS in text and not text.startswith('('):

@@ -22,10 +22,9 @@ import os
 from pathlib import Path
 import sys
 
-import yaml
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.sim.objects import Material
+import yaml
 
 CONFIG_NAME = 'sim_world.yaml'
 

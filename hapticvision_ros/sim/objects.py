@@ -77,12 +77,12 @@ class Material:
 
     @property
     def relaxation_time(self) -> float:
-        """Time constant of the force at held displacement, ``(C1 + C2) / K1`` [s]."""
+        """Return the time constant of the force at held displacement, ``(C1 + C2) / K1`` [s]."""
         return (self.retardation_viscosity + self.flow_viscosity) / self.elastic_stiffness
 
     @property
     def retardation_time(self) -> float:
-        """Time constant of the free recovery, ``C1 / K1`` [s]."""
+        """Return the time constant of the free recovery, ``C1 / K1`` [s]."""
         return self.retardation_viscosity / self.elastic_stiffness
 
 

@@ -15,35 +15,35 @@
 
 """Whole trials in virtual time: from a simulated cell to a contract bag, faster than real time."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import nan
 from pathlib import Path
-
-import numpy as np
 
 from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
     POINTS,
+    PROVENANCE,
     PUSH_VELOCITY,
     TOOL_HEIGHT,
 )
-from hapticvision_ros.bag.writer import BagWriter, Compression, PROVENANCE
+from hapticvision_ros.bag.writer import BagWriter, Compression
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.push_control import PushControl, PushGoal, PushLimits, Reading
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.scene import RangeRenderer, Scene
 from hapticvision_ros.sim.world import Readings, World
+import numpy as np
 
 START_NS = 1_700_000_000 * 10**9
 """Stamp of virtual time zero in a synthetic bag [ns since the epoch]."""
 CONTROL_PERIOD = 0.002
 """Time between two commands to the arm [s]."""
-LONGEST_PUSH = 3600.0
-"""A push that would take longer than this is a mistake [s]."""
-ARRIVED = 1e-6
-"""The tool has reached a height when it is this near [m]."""
+LONGEST_TRIAL = 3600.0
+"""A trial that would take longer than this is a mistake [s]."""
+MAX_FORCE = 1000.0
+"""The simulated load cell takes any load that the objects can bear [N]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +56,18 @@ class TrialPlan:
     push_speed : float
         Speed of the push [m/s].
     depth : float
-        How far the tool goes below the block's top [m].
+        How far the tool goes on from the touch [m].
     hold_time, recover_time : float
         Duration of the hold, and of the recovery after the tool is back at its start [s].
-    baseline_time : float
-        Rest before the approach, in which the undented object is seen [s].
+    zero_time : float
+        Rest before the approach, in which the load cell's zero is taken and the undented object
+        is seen [s].
     approach_gap : float
-        Height above the block's top at which the fast approach becomes the push [m].
-    approach_speed, retract_speed : float
+        Height above the surface at which the approach slows down to the push [m].
+    approach_speed, release_speed : float
         Speed in the air before the push and after the hold [m/s].
+    touch_force : float
+        Rise of the force that counts as touch [N].
 
     """
 
@@ -72,10 +75,11 @@ class TrialPlan:
     depth: float
     hold_time: float
     recover_time: float
-    baseline_time: float = 1.0
+    zero_time: float = 1.0
     approach_gap: float = 0.002
-    approach_speed: float = 0.020
-    retract_speed: float = 0.050
+    approach_speed: float = 0.030
+    release_speed: float = 0.050
+    touch_force: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +103,7 @@ def record_trial(
     compression: Compression = 'zstd',
 ) -> None:
     """
-    Run one trial in virtual time and write it as a contract bag.
+    Run one trial in virtual time, under the real control law, and write it as a contract bag.
 
     Parameters
     ----------
@@ -127,24 +131,7 @@ def record_trial(
         If the plan does not fit the cell, or the bag cannot be written.
 
     """
-    top, arm = config.block.height, config.arm
-    if not arm.lowest_height <= top - plan.depth < top:
-        raise InputError(
-            f'a depth of {plan.depth * 1e3:g} mm does not fit: it must be above 0 and at most '
-            f'{(top - arm.lowest_height) * 1e3:g} mm, where the arm has its end stop'
-        )
-    if not 0.0 < plan.approach_gap < arm.start_height - top:
-        raise InputError(
-            f'an approach_gap of {plan.approach_gap * 1e3:g} mm does not fit: it must be above 0 '
-            f'and below {(arm.start_height - top) * 1e3:g} mm, where the arm starts'
-        )
-    if not min(plan.push_speed, plan.approach_speed, plan.retract_speed) > 0.0:
-        raise InputError('the speeds of a trial must be above zero')
-    if plan.depth + plan.approach_gap > plan.push_speed * LONGEST_PUSH:
-        raise InputError(
-            f'a push of {plan.depth * 1e3:g} mm at {plan.push_speed * 1e3:g} mm/s takes over an '
-            'hour: push faster'
-        )
+    arm = config.arm
     renderer = None
     if clouds is not None:
         scene = Scene(config.block, arm.tool_radius, config.range_sensor)
@@ -167,43 +154,61 @@ def record_trial(
                 'licence': 'Apache-2.0',
             },
         )
-        phase, command = '', inf
-        for new_phase, new_command in _motion(world, config, plan):
+        phase, velocity = '', nan
+        tool, force = Reading(0.0, arm.start_height), Reading(0.0, config.load_cell.zero)
+        control = PushControl(
+            _goal(config, plan), _limits(config, plan), world.time, arm.start_height
+        )
+        while not control.finished:
             now_ns = START_NS + round(world.time * 1e9)
-            if new_phase != phase:
-                phase = new_phase
+            command = control.step(world.time, tool, force)
+            if command.phase != phase:
+                phase = command.phase
                 bag.write_string(PHASE, now_ns, phase)
-            if new_command != command:
-                command = new_command
-                bag.write_float64(PUSH_VELOCITY, now_ns, command)
-            world.set_push_velocity(command)
+            if command.push_velocity != velocity:
+                velocity = command.push_velocity
+                bag.write_float64(PUSH_VELOCITY, now_ns, velocity)
+            world.set_push_velocity(command.push_velocity)
             readings = world.advance(world.time + CONTROL_PERIOD)
+            if readings.arm:
+                tool = Reading(readings.arm[-1].t, readings.arm[-1].tool_height)
+            if readings.force:
+                force = Reading(readings.force[-1].t, -readings.force[-1].fz)
             _write(bag, readings, renderer, displacement_noise, random)
-        bag.write_string(PHASE, START_NS + round(world.time * 1e9), 'done')
+        if control.reason is not None:
+            raise InputError(f'the simulated trial was aborted: {control.reason}')
 
 
-def _motion(world: World, config: WorldConfig, plan: TrialPlan) -> Iterator[tuple[str, float]]:
-    """Yield the phase and the commanded push velocity [m/s] of each control period."""
-    arm, top = config.arm, config.block.height
-    start = world.tool_height
+def _goal(config: WorldConfig, plan: TrialPlan) -> PushGoal:
+    """Return what the arm's controller is asked for."""
+    return PushGoal(
+        push_speed=plan.push_speed,
+        depth=plan.depth,
+        hold_time=plan.hold_time,
+        recover_time=plan.recover_time,
+        release_speed=plan.release_speed,
+        approach_speed=plan.approach_speed,
+        approach_gap=plan.approach_gap,
+        clearance=config.arm.start_height - config.block.height,
+        touch_force=plan.touch_force,
+        zero_time=plan.zero_time,
+        surface_height=config.block.height,
+    )
 
-    def rest(phase: str, duration: float) -> Iterator[tuple[str, float]]:
-        stop = world.time + duration
-        while world.time < stop:
-            yield phase, 0.0
 
-    def descend(phase: str, speed: float, height: float) -> Iterator[tuple[str, float]]:
-        """Move down to `height`, braking with half of the arm's acceleration."""
-        while (left := world.tool_height - height) > ARRIVED:
-            yield phase, min(speed, sqrt(arm.acceleration * left), left / CONTROL_PERIOD)
-
-    yield from rest('approach', plan.baseline_time)
-    yield from descend('approach', plan.approach_speed, top + plan.approach_gap)
-    yield from descend('push', plan.push_speed, top - plan.depth)
-    yield from rest('hold', plan.hold_time)
-    while world.tool_height < start:
-        yield 'release', -plan.retract_speed
-    yield from rest('recover', plan.recover_time)
+def _limits(config: WorldConfig, plan: TrialPlan) -> PushLimits:
+    """Return limits that only the cell itself sets."""
+    arm = config.arm
+    return PushLimits(
+        max_force=MAX_FORCE,
+        max_speed=max(plan.push_speed, plan.approach_speed, plan.release_speed),
+        max_depth=config.block.height - arm.lowest_height,
+        lowest_height=arm.lowest_height,
+        highest_height=arm.highest_height,
+        max_duration=LONGEST_TRIAL,
+        stale_time=arm.watchdog,
+        stop_lead=CONTROL_PERIOD + 0.5 * plan.push_speed / arm.acceleration,
+    )
 
 
 def _write(

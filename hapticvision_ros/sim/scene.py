@@ -17,19 +17,21 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
 from hapticvision_ros.sim.config import Block, RangeSensorModel
+import numpy as np
+from numpy.typing import NDArray
 
 type BoolArray = NDArray[np.bool_]
 type IndexArray = NDArray[np.intp]
 
-MARCH_STEPS = 10
-"""Slices of the dent's depth in which the first crossing of a ray is looked for."""
-REFINE_STEPS = 3
+MARCH_STEPS = 12
+"""
+Slices of the dent's depth in which the first crossing of a ray is looked for; thin at the top,
+where a ray can cut through the rim and come out again.
+"""
+REFINE_STEPS = 4
 """Regula falsi steps inside the slice: leaves well under 10 um of a 10 mm dent."""
 
 
@@ -206,7 +208,7 @@ class RangeRenderer:
         above_high = np.zeros_like(constant)
         open_rays = np.arange(constant.size)
         for step in range(1, MARCH_STEPS + 1):
-            u = np.full(open_rays.size, dent * np.float32(step / MARCH_STEPS))
+            u = np.full(open_rays.size, dent * np.float32((step / MARCH_STEPS) ** 2))
             above = clearance(u, open_rays)
             ends = above <= 0
             ended, going = open_rays[ends], open_rays[~ends]

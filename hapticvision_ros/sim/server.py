@@ -97,7 +97,7 @@ class WorldServer:
 
     @property
     def port(self) -> int:
-        """The UDP port that is served."""
+        """Return the UDP port that is served."""
         port: int = self._socket.getsockname()[1]
         return port
 
@@ -111,15 +111,16 @@ class WorldServer:
             pause = next_tick - time.monotonic()
             if pause > 0.0:
                 time.sleep(pause)
-            self._listen()
-            self._stream(self._world.advance(time.monotonic() - start), start_ns)
+            now = time.monotonic() - start
+            self._listen(now)
+            self._stream(self._world.advance(now), start_ns)
 
     def close(self) -> None:
         """Stop serving."""
         self._socket.close()
 
-    def _listen(self) -> None:
-        """Handle the datagrams that have come."""
+    def _listen(self, now: float) -> None:
+        """Handle the datagrams that have come until `now`, in virtual time [s]."""
         while True:
             try:
                 datagram, sender = self._socket.recvfrom(MAX_DATAGRAM)
@@ -130,16 +131,16 @@ class WorldServer:
                 continue
             message = decode(datagram)
             if message is not None:
-                answer = self._handle(message, sender)
+                answer = self._handle(message, sender, now)
                 if answer is not None:
                     self._send(encode(answer), sender)
 
-    def _handle(self, message: Message, sender: Address) -> Message | None:
+    def _handle(self, message: Message, sender: Address, now: float) -> Message | None:
         """Do what a device asks, and return the answer if it expects one."""
         match message:
             case {'request': 'push', 'velocity': float() | int() as velocity}:
                 if isfinite(velocity):
-                    self._world.set_push_velocity(float(velocity))
+                    self._world.set_push_velocity(float(velocity), now)
                 return None
             case {'request': 'renew', 'stream': str() as stream} if stream in STREAMS:
                 self._subscribers[stream][sender] = time.monotonic() + LEASE

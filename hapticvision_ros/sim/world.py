@@ -105,28 +105,40 @@ class World:
 
     @property
     def time(self) -> float:
-        """Virtual time [s]."""
+        """Return the virtual time [s]."""
         return self._steps * self._config.time_step
 
     @property
     def tool_height(self) -> float:
-        """Height of the tool tip above the support plane [m], as it is."""
+        """Return the height of the tool tip above the support plane [m], as it is."""
         return self._tool_height
 
     @property
     def displacement(self) -> float:
-        """Depth H of the dent under the tool [m], as it is."""
+        """Return the depth H of the dent under the tool [m], as it is."""
         return self._object.displacement
 
     @property
     def contact_force(self) -> float:
-        """Force of the object on the tool [N], as it is."""
+        """Return the force of the object on the tool [N], as it is."""
         return self._object.force
 
-    def set_push_velocity(self, push_velocity: float) -> None:
-        """Command a speed along the push [m/s], positive toward the object."""
+    def set_push_velocity(self, push_velocity: float, at: float | None = None) -> None:
+        """
+        Command a speed along the push.
+
+        Parameters
+        ----------
+        push_velocity : float
+            Speed [m/s], positive toward the object.
+        at : float, optional
+            When the command came, if that is ahead of the world, which was late [s]: the
+            watchdog counts from then.
+
+        """
         self._target_velocity = push_velocity
-        self._command_expires = self.time + self._config.arm.watchdog
+        came = self.time if at is None else max(at, self.time)
+        self._command_expires = came + self._config.arm.watchdog
 
     def place_new_sample(self) -> None:
         """

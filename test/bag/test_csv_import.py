@@ -17,13 +17,6 @@
 
 from pathlib import Path
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mcap.reader import make_reader
-import numpy as np
-import pytest
-from rosbags.highlevel import AnyReader
-
 from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, TOOL_HEIGHT, WRENCH
 from hapticvision_ros.bag.csv_import import (
     Column,
@@ -33,6 +26,12 @@ from hapticvision_ros.bag.csv_import import (
     read_csv,
 )
 from hapticvision_ros.core.errors import InputError, UsageError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
 
 MUSCLE = """\
 time_s,displacement_mm,force_N,force_sd_N

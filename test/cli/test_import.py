@@ -18,11 +18,10 @@
 import argparse
 from pathlib import Path
 
-from mcap.reader import make_reader
-import pytest
-
 from hapticvision_ros.cli import import_csv
 from hapticvision_ros.core.errors import UsageError
+from mcap.reader import make_reader
+import pytest
 
 GOOD = 'time_s,force_N,displacement_mm\n0,1,1\n1,2,2\n'
 

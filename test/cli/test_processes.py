@@ -21,10 +21,9 @@ import subprocess
 import sys
 import time
 
-import pytest
-
 from hapticvision_ros.cli import processes
 from hapticvision_ros.cli.processes import ProcessError, Supervisor
+import pytest
 
 DEADLINE = 20.0
 

@@ -16,8 +16,6 @@
 
 import math
 
-import pytest
-
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.experiment import (
     Deadlines,
@@ -27,6 +25,7 @@ from hapticvision_ros.core.experiment import (
     Outcome,
     Step,
 )
+import pytest
 
 DEADLINES = Deadlines(service=5.0, approach=20.0, margin=10.0)
 

@@ -29,13 +29,12 @@ import threading
 import time
 from typing import Any
 
+from hapticvision_ros.bag.contract import Service, Topic
+from hapticvision_ros.nodes import qos
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-
-from hapticvision_ros.bag.contract import Service, Topic
-from hapticvision_ros.nodes import qos
 
 # Read when a message package is imported, when ROS starts, and by the node processes.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
@@ -72,12 +71,12 @@ class NodeProcess:
 
     @property
     def output(self) -> str:
-        """What the process has written so far."""
+        """Return what the process has written so far."""
         return self._log.read_text(encoding='utf-8', errors='replace')
 
     @property
     def returncode(self) -> int | None:
-        """The exit code, or None while the process runs."""
+        """Return the exit code, or None while the process runs."""
         return self._process.poll()
 
     def wait(self, deadline: float = START_DEADLINE) -> int:
@@ -198,10 +197,55 @@ def probe(ros: None) -> Iterator[Probe]:
     made.close()
 
 
+class SimulatedWorld:
+    """A simulated cell in a process of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [str(Path(sys.executable).with_name('simulated_world')), *arguments],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        # Empty when the process has ended instead.
+        words = self._process.stdout.readline().split()
+        assert words[:1] == ['ready'], 'the simulated world did not start'
+        self.port = int(words[1])
+
+    def stop(self) -> None:
+        """End the process; may be called again."""
+        self._process.terminate()
+        try:
+            self._process.wait(STOP_DEADLINE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            raise
+        finally:
+            if self._process.stdout is not None:
+                self._process.stdout.close()
+
+
 @pytest.fixture
-def start_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+def start_world() -> Iterator[Callable[..., SimulatedWorld]]:
+    """Start simulated worlds that end with the test; arguments as on the command line."""
+    started: list[SimulatedWorld] = []
+
+    def start(*arguments: str) -> SimulatedWorld:
+        world = SimulatedWorld(*arguments)
+        started.append(world)
+        return world
+
+    yield start
+    for world in started:
+        world.stop()
+
+
+@pytest.fixture
+def start_node(
+    tmp_path: Path, start_world: Callable[..., SimulatedWorld]
+) -> Iterator[Callable[..., NodeProcess]]:
     """
-    Start node processes that end with the test, also with a failed one.
+    Start node processes that end with the test, also with a failed one, and before their world.
 
     ``start_node('load_cell_driver', {'frame_rate': 10.0}, '-r', '__ns:=/cell')``
     """

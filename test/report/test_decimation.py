@@ -13,9 +13,8 @@
 # limitations under the License.
 
 
-import numpy as np
-
 from hapticvision_ros.report.decimation import envelope, line
+import numpy as np
 
 
 def test_a_glitch_of_one_sample_survives_decimation() -> None:
@@ -46,7 +45,7 @@ def test_every_stretch_keeps_its_extremes() -> None:
     kept_t, kept = envelope(t, value, 100)
     for start in range(0, 10_000, 100):
         inside = (kept_t >= start) & (kept_t < start + 100)
-        part = value[start : start + 100]
+        part = value[range(start, start + 100)]
         assert kept[inside].max() == part.max() and kept[inside].min() == part.min()
 
 

@@ -15,15 +15,14 @@
 
 import math
 
-from hypothesis import given, strategies
-import pytest
-
 from hapticvision_ros.report.quantities import (
     format_number,
     format_quantity,
     PAPER_UNITS,
     SI_UNITS,
 )
+from hypothesis import given, strategies
+import pytest
 
 FINITE = strategies.floats(-1e12, 1e12, allow_nan=False)
 ERRORS = strategies.floats(1e-9, 1e9)

@@ -29,11 +29,10 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.records import FloatArray, Signal
+import numpy as np
 
 MIN_SAMPLES: Final = 12
 """Fewer samples than this leave no freedom to judge an error from the residual."""
@@ -69,6 +68,9 @@ class ExponentialFit:
         Mean of the fitted samples, in the unit of the signal.
     mean_std : float
         Standard error of `mean`, in the unit of the signal.
+    slide, slide_std : float
+        How far a straight line through the record falls over it, and the standard error of that,
+        in the unit of the signal.
     set_aside : ndarray
         Times of the samples left out as glitches [s].
 
@@ -85,6 +87,8 @@ class ExponentialFit:
     interval: float
     mean: float
     mean_std: float
+    slide: float
+    slide_std: float
     set_aside: FloatArray
 
     def __call__(self, t: FloatArray) -> FloatArray:
@@ -94,18 +98,18 @@ class ExponentialFit:
 
     @property
     def span(self) -> float:
-        """How long the fitted record lasts [s]."""
+        """Return how long the fitted record lasts [s]."""
         return self.stop - self.start
 
     @property
     def std(self) -> tuple[float, float, float]:
-        """Standard errors of (amplitude, time_constant, offset)."""
+        """Return the standard errors of (amplitude, time_constant, offset)."""
         amplitude, time_constant, offset = np.sqrt(np.diag(self.covariance)).tolist()
         return amplitude, time_constant, offset
 
     @property
     def drop(self) -> tuple[float, float]:
-        """How far the curve falls over the fitted record, and the standard error of that."""
+        """Return how far the curve falls over the record, and the standard error of that."""
         at_start = self.referred_to(self.start)
         left = math.exp(-self.span / self.time_constant)
         gradient = np.array(
@@ -113,6 +117,12 @@ class ExponentialFit:
         )
         variance = float(gradient @ at_start.covariance @ gradient)
         return at_start.amplitude * (1.0 - left), math.sqrt(max(variance, 0.0))
+
+    def flat(self) -> 'ExponentialFit':
+        """Return the constant in place of the curve, for a record that shows no decay."""
+        covariance = np.zeros((3, 3))
+        covariance[2, 2] = self.mean_std**2
+        return replace(self, amplitude=0.0, offset=self.mean, covariance=covariance)
 
     def referred_to(self, origin: float) -> 'ExponentialFit':
         """Return the same curve with its amplitude taken at the time `origin` [s]."""
@@ -169,6 +179,9 @@ def fit_exponential(signal: Signal) -> ExponentialFit:
     residual = y - amplitude * decay - offset
     jacobian = np.column_stack((decay, amplitude * rate**2 * t * decay, np.ones_like(t)))
     mean = float(y.mean())
+    line = np.column_stack((np.ones_like(t), (t.mean() - t) / t[-1]))
+    slide = float(line[:, 1] @ y) / float(line[:, 1] @ line[:, 1])
+    spread = least_squares_covariance(line, (y - mean - slide * line[:, 1],))
     return ExponentialFit(
         origin=float(signal.t[0]),
         amplitude=amplitude,
@@ -180,7 +193,9 @@ def fit_exponential(signal: Signal) -> ExponentialFit:
         stop=float(signal.t[-1]),
         interval=float(np.median(np.diff(signal.t))),
         mean=mean,
-        mean_std=math.sqrt(float(least_squares_covariance(jacobian[:, 2:], (y - mean,))[0, 0])),
+        mean_std=math.sqrt(float(spread[0, 0])),
+        slide=slide,
+        slide_std=math.sqrt(float(spread[1, 1])),
         set_aside=signal.t[glitch],
     )
 

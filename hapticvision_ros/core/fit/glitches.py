@@ -26,16 +26,16 @@ References
 import math
 from typing import Final
 
+from hapticvision_ros.core.records import FloatArray
 import numpy as np
 from numpy.typing import NDArray
-
-from hapticvision_ros.core.records import FloatArray
 
 NORMAL_FROM_MAD: Final = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 
 _HALF_WIDTH: Final = 5
 _SIGMAS: Final = 8.0
+_LAST: Final = slice(-_HALF_WIDTH - 1, -1)
 _LOCAL_SPREADS: Final = 5.0
 _SCALES: Final = (1, 4, 16, 64)
 
@@ -80,8 +80,9 @@ def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
 
 def _outlying(value: FloatArray, floor: float) -> NDArray[np.bool_]:
     """Return which values depart from the running median by more than the limit."""
+    # Continued point-symmetrically beyond either end, so that a slope stays monotone there.
     head = 2.0 * value[0] - value[_HALF_WIDTH:0:-1]
-    tail = 2.0 * value[-1] - value[-2 : -_HALF_WIDTH - 2 : -1]
+    tail = 2.0 * value[-1] - np.flip(value[_LAST])
     windows = np.lib.stride_tricks.sliding_window_view(
         np.concatenate((head, value, tail)), 2 * _HALF_WIDTH + 1
     )

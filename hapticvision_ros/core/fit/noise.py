@@ -27,13 +27,14 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
 
 _WINDOW: Final = 16
 _MIN_BASELINE: Final = 32
+_ROUNDING: Final = 1e-12
+"""Scatter below this share of the signal is arithmetic."""
 _CHI2_MEDIAN_14: Final = 13.339
 """Median of chi squared with `_WINDOW` - 2 degrees of freedom."""
 
@@ -110,7 +111,8 @@ def _larger(baseline: Signal, quiet: Signal, what: str) -> Estimate:
         looks.append(_local(quiet))
     if not looks:
         return Estimate.unknown(f'there are too few samples of the {what} to see its noise')
-    if max(looks) <= 0.0:
+    values = np.concatenate((baseline.value, quiet.value))
+    if max(looks) <= _ROUNDING * float(np.abs(values).max()):
         return Estimate.unknown(f'the {what} shows no noise at all')
     return Estimate(max(looks))
 

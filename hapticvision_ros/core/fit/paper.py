@@ -44,8 +44,6 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.fit.exponential import (
     ExponentialFit,
     fit_exponential,
@@ -58,6 +56,7 @@ from hapticvision_ros.core.fit.release import (
     withdrawal_speed,
 )
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
 
 SIGNIFICANT: Final = 5.0
 """A decay smaller than this many standard errors has not been seen."""
@@ -68,8 +67,8 @@ NEGLIGIBLE: Final = 0.01
 LONGEST_EXTRAPOLATION: Final = 3.0
 """A time constant longer than this many records is not told by them."""
 
-UNCONVERGED: Final = 0.05
-"""A hold whose force ends further than this share above its limit has not converged."""
+UNCONVERGED: Final = 0.02
+"""A bouncing part that is longer at T_e than eq. (13) takes it to be, by more than this share."""
 
 WORST_RELATIVE_ERROR: Final = 0.5
 """A time constant with a larger relative standard error is not told by the record."""
@@ -189,7 +188,7 @@ def fit_paper(trial: Trial, segmentation: Segmentation) -> PaperResult:
         C2=C2,
         hold_fit=hold.fit,
         recovery_fit=recovery.fit,
-        warnings=hold.warnings + recovery.warnings,
+        warnings=hold.warnings + recovery.warnings + _unconverged(hold, recovery, segmentation),
     )
 
 
@@ -232,6 +231,28 @@ def _set_aside(fit: ExponentialFit, what: str) -> tuple[str, ...]:
     )
 
 
+def _unconverged(hold: _Decay, recovery: _Decay, phases: Segmentation) -> tuple[str, ...]:
+    """
+    Return the sentence on a hold that ends before its force has converged.
+
+    The stretch z of the bouncing part converges with the force, and its excess at T_e over
+    F_inf / K1 is that of the force over ``F_inf (1 - gamma / tau)`` (eqs. 1, 2, 9 and 12).
+    """
+    tau, F0, F_inf = hold.time_constant.value, hold.amplitude.value, hold.limit.value
+    gamma = recovery.time_constant.value
+    if tau is None or F0 is None or F_inf is None or F_inf <= 0.0 or gamma is None or gamma >= tau:
+        return ()
+    held = (phases.t_release or phases.t_end) - (phases.t_hold or phases.t_end)
+    left = F0 * math.exp(-held / tau)
+    excess = left / F_inf / (1.0 - gamma / tau)
+    if excess <= UNCONVERGED:
+        return ()
+    return (
+        f'the hold ends {left:.2g} N above F_inf: eq. (13) takes the force to have converged by '
+        f'T_e, and gives K1, C1 and C2 about {100.0 * excess / (1.0 + excess):.2g} % too low',
+    )
+
+
 def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     """Fit eq. (4) to the hold."""
     if segmentation.t_hold is None:
@@ -252,19 +273,17 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     drop, drop_std = fit.drop
     if abs(drop) <= max(SIGNIFICANT * drop_std, NEGLIGIBLE * abs(fit.mean)):
         reason = (
-            f'the force does not relax: it falls by {drop:.2g} ± {drop_std:.2g} N from '
+            f'the force does not relax: it falls by {fit.slide:.2g} ± {fit.slide_std:.2g} N from '
             f'{fit.mean:.4g} N in the hold of {fit.span:.3g} s'
         )
-        limit_std = math.hypot(fit.mean_std, max(abs(drop), drop_std))
-        covariance = np.diag([0.0, 0.0, limit_std**2])
-        limit = Estimate(fit.mean, limit_std, reason)
-        spread = math.hypot(drop, drop_std)
+        slide = max(abs(fit.slide), fit.slide_std)
+        limit_std = math.hypot(fit.mean_std, slide)
         return _Decay(
             Estimate.unknown(reason),
-            Estimate(0.0, spread, reason),
-            limit,
-            covariance,
-            fit,
+            Estimate(0.0, slide, reason),
+            Estimate(fit.mean, limit_std, reason),
+            np.diag([0.0, 0.0, limit_std**2]),
+            fit.flat(),
             warnings,
         )
     if drop < 0.0:
@@ -273,12 +292,6 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     if reason:
         return _unknown_decay(reason, fit)
     caution = _extrapolated(fit, 'hold')
-    left = fit.amplitude * math.exp(-(stop - segmentation.t_hold) / fit.time_constant)
-    if segmentation.t_release is not None and left > UNCONVERGED * abs(fit.offset):
-        warnings += (
-            f'the hold ends {left:.2g} N above F_inf = {fit.offset:.3g} N: eq. (13) takes the '
-            'force to have converged by T_e, and K1 comes out too low; hold longer',
-        )
     amplitude_std, time_std, offset_std = fit.std
     order = np.ix_((1, 0, 2), (1, 0, 2))
     return _Decay(
@@ -317,9 +330,9 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation) -> _Decay:
         # Nothing has recovered since the loss of contact: a spring, or a purely viscous body.
         reason = (
             'the object recovered as fast as the tool withdrew: in the recovery of '
-            f'{fit.span:.3g} s only {1e3 * drop:.2g} ± {1e3 * drop_std:.2g} mm were left'
+            f'{fit.span:.3g} s only {1e3 * fit.slide:.2g} ± {1e3 * fit.slide_std:.2g} mm were left'
         )
-        limit_std = math.hypot(fit.mean_std, max(abs(drop), drop_std))
+        limit_std = math.hypot(fit.mean_std, max(abs(fit.slide), fit.slide_std))
         bounce_std = math.hypot(pressed_std, limit_std)
         covariance = np.diag([0.0, bounce_std**2, limit_std**2])
         return _Decay(
@@ -327,7 +340,7 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation) -> _Decay:
             Estimate(bounce, bounce_std),
             Estimate(fit.mean, limit_std),
             covariance,
-            fit,
+            fit.flat(),
             warnings,
         )
     if drop < 0.0:

@@ -16,10 +16,9 @@
 
 import math
 
-import numpy as np
-
 from hapticvision_ros.core.fit.exponential import MIN_SAMPLES
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
+import numpy as np
 
 
 def start_of_recovery(
@@ -34,7 +33,7 @@ def start_of_recovery(
     if len(record) < MIN_SAMPLES:
         return None, 'the record ends with the hold'
     force = record.value - segmentation.force_zero
-    late = force[force.size // 2 :]
+    late = np.array_split(force, 2)[1]
     kept = float(np.median(late))
     spread = float(np.quantile(late, 0.84) - np.quantile(late, 0.16)) / 2.0
     before = trial.force.between(segmentation.t_hold or released, released)

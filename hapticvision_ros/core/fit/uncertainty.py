@@ -27,9 +27,8 @@ References
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
 from hapticvision_ros.core.records import FloatArray
+import numpy as np
 
 _BLOCKS: Final = 256
 
@@ -40,8 +39,7 @@ def least_squares_covariance(jacobian: FloatArray, residuals: Sequence[FloatArra
 
     The residual is averaged over blocks, so that fast correlation (filters, mains hum) is inside a
     block; what is left between neighbouring blocks is taken for a first-order autoregression,
-    which reduces the number of independent blocks by ``(1 - rho) / (1 + rho)``. The parameters
-    are taken to act slowly against the noise.
+    whose coefficient is corrected for what the fit has taken out of the residual.
 
     Parameters
     ----------
@@ -56,32 +54,41 @@ def least_squares_covariance(jacobian: FloatArray, residuals: Sequence[FloatArra
         The covariance; infinite on the diagonal where the samples do not suffice for it.
 
     """
-    count, parameters = jacobian.shape
-    means, products, squares, pairs, blocks = [], 0.0, 0.0, 0, 0
+    parameters = jacobian.shape[1]
+    means, slopes, products, squares, first = [], [], 0.0, 0.0, 0
+    scale = np.sqrt(np.sum(jacobian**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    scaled = jacobian / scale
     for residual in residuals:
         edges = np.linspace(0, residual.size, min(residual.size, _BLOCKS) + 1).astype(np.intp)
         mean = np.add.reduceat(residual, edges[:-1]) / np.diff(edges)
         means.append(mean)
+        slopes.append(np.add.reduceat(scaled, first + edges[:-1], axis=0))
         products += float(mean[1:] @ mean[:-1])
         squares += float(mean @ mean)
-        pairs += mean.size - 1
-        blocks += mean.size
+        first += residual.size
+    blocks = sum(mean.size for mean in means)
     if squares <= 0.0:
         return np.zeros((parameters, parameters))
     if blocks <= parameters + 4:
         return np.diag(np.full(parameters, np.inf))
-    observed = (products / pairs) / (squares / blocks)
-    fitted = parameters / len(means)
-    length = blocks / len(means)
+    observed = (products / (blocks - len(means))) / (squares / blocks)
+    fitted, length = parameters / len(means), blocks / len(means)
     correlation = (observed + fitted / length) / max(1.0 - (fitted + 2.0) / length, 0.5)
     # Below this many independent blocks the residual cannot tell its own variance.
     least = (parameters + 2.0) / blocks
     correlation = float(np.clip(correlation, 0.0, (1.0 - least) / (1.0 + least)))
     independent = blocks * (1.0 - correlation) / (1.0 + correlation)
     variance = (squares / blocks) / (1.0 - parameters / independent)
-    per_sample = variance * count / independent
-    scale = np.sqrt(np.sum(jacobian**2, axis=0))
-    scale[scale == 0.0] = 1.0
-    scaled = jacobian / scale
-    normal: FloatArray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True)
-    return np.asarray(per_sample * normal / np.outer(scale, scale), dtype=np.float64)
+    spread = variance * sum(slope.T @ _correlate(slope, correlation) for slope in slopes)
+    inverse: FloatArray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True)
+    return np.asarray(inverse @ spread @ inverse / np.outer(scale, scale), dtype=np.float64)
+
+
+def _correlate(slope: FloatArray, correlation: float) -> FloatArray:
+    """Return the correlation matrix of a first-order autoregression times `slope`."""
+    if correlation == 0.0:
+        return slope
+    lag = np.arange(slope.shape[0])
+    matrix = np.power(correlation, lag)[np.abs(lag[:, np.newaxis] - lag)]
+    return np.asarray(matrix @ slope, dtype=np.float64)

@@ -28,8 +28,7 @@ from dataclasses import dataclass
 import math
 from typing import Final, Literal
 
-import numpy as np
-
+from hapticvision_ros.core.fit.exponential import MIN_SAMPLES
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import Noise
 from hapticvision_ros.core.fit.release import (
@@ -40,6 +39,7 @@ from hapticvision_ros.core.fit.release import (
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.models.three_element import maxwell_stretch, respond, ThreeElement
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
 
 MODEL: Final = 'three-element'
 UNITS: Final = {'K1': 'N/m', 'C1': 'N.s/m', 'C2': 'N.s/m'}
@@ -80,7 +80,8 @@ class Prediction:
     Parameters
     ----------
     force : Signal
-        Measured contact force in push and hold, without the load cell's zero [N].
+        Measured contact force in push and hold, without the load cell's zero [N]; two samples on
+        either side of the path's corners are left out.
     force_fitted : ndarray
         The model's force at the same times [N].
     height : Signal or None
@@ -243,7 +244,7 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
         return None
     inside = trial.force.between(start, stop)
     tool = trial.tool_height.between(start, stop)
-    if len(inside) < 8 or len(tool) < 4:
+    if len(inside) < MIN_SAMPLES or len(tool) < 4:
         warnings.append(f'{trial.name}: too few samples in contact to fit a model')
         return None
     force = Signal(inside.t, inside.value - phases.force_zero)
@@ -251,9 +252,24 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
     if phases.t_hold is not None and start < phases.t_hold < stop:
         breaks.insert(1, phases.t_hold)
     knot_t, knot_height = _tool_path(Signal(tool.t, original - tool.value), breaks)
+    apart = np.min(np.abs(np.subtract.outer(force.t, breaks)), axis=1) > _corner(trial, breaks)
+    force = Signal(force.t[apart], force.value[apart])
+    if len(force) < MIN_SAMPLES:
+        warnings.append(f'{trial.name}: too few samples in contact to fit a model')
+        return None
     good = ~find_glitches(force.value)
     block_t, block_force, block_weight = _average(force.t[good], force.value[good], breaks)
     return _Contact(knot_t, knot_height, force, phases.t_hold, block_t, block_force, block_weight)
+
+
+def _corner(trial: Trial, breaks: Sequence[float]) -> float:
+    """
+    Return how near a corner of the tool's path a sample is neither fitted nor counted [s].
+
+    The force jumps there, and the corner is known to about two samples.
+    """
+    known = 2.0 * max(sampling_interval(trial.tool_height), sampling_interval(trial.force))
+    return min(known, 0.05 * float(np.diff(breaks).min()))
 
 
 def _average(
@@ -352,11 +368,6 @@ def _parameters(
     contacts: Sequence[_Contact], eta: float, k: float, T: float, limits: tuple[float, float]
 ) -> dict[str, Estimate]:
     """Return K1, C1 and C2 with standard errors, unknown where the fit lies on a bound."""
-    if k == 0.0 or T / limits[0] < 1.01:
-        reason = 'the force follows the speed of the tool alone, like that of a bare dashpot'
-        nothing = Estimate.unknown(reason)
-        C2 = Estimate.unknown('the model cannot follow the force') if eta + k * T <= 0.0 else None
-        return {'K1': nothing, 'C1': nothing, 'C2': C2 or Estimate(eta + k * T, None, reason)}
     columns, residuals = [], []
     for contact in contacts:
         nearby = T * np.exp(np.array([-1e-4, 0.0, 1e-4]))
@@ -371,6 +382,16 @@ def _parameters(
     active = [1, 2] if eta == 0.0 else [0, 1, 2]
     covariance = np.zeros((3, 3))
     covariance[np.ix_(active, active)] = least_squares_covariance(jacobian[:, active], residuals)
+    if k <= 2.0 * math.sqrt(covariance[1, 1]) or T / limits[0] < 1.01:
+        reason = 'the force follows the speed of the tool alone, like that of a bare dashpot'
+        spread = least_squares_covariance(jacobian[:, :1], residuals)[0, 0]
+        return {
+            'K1': Estimate.unknown(reason),
+            'C1': Estimate.unknown(reason),
+            'C2': _bounded(
+                'C2', eta + (k * T if T / limits[0] < 1.01 else 0.0), math.sqrt(spread)
+            ),
+        }
     # In the order (eta, k, log T); q = eta / (k T) is C1 over C2.
     q = eta / (k * T)
     gradients = {

@@ -40,9 +40,8 @@ C1 / K1 of eq. (12), y stays, and H follows eq. (10).
 from dataclasses import dataclass
 import math
 
-import numpy as np
-
 from hapticvision_ros.core.records import FloatArray
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,27 +80,27 @@ class ThreeElement:
 
     @property
     def relaxation_time(self) -> float:
-        """Time constant of the force at a held displacement, eq. (9) [s]."""
+        """Return the time constant of the force at a held displacement, eq. (9) [s]."""
         return (self.C1 + self.C2) / self.K1
 
     @property
     def retardation_time(self) -> float:
-        """Time constant of the free recovery, eq. (12) [s]."""
+        """Return the time constant of the free recovery, eq. (12) [s]."""
         return self.C1 / self.K1
 
     @property
     def share(self) -> float:
-        """The r of the module's equations: which part of the tool's speed goes into z."""
+        """Return r, the part of the tool's speed that goes into z."""
         return self.C2 / (self.C1 + self.C2)
 
     @property
     def eta(self) -> float:
-        """Viscosity of the dashpot beside the Maxwell branch [N.s/m]."""
+        """Return the viscosity of the dashpot beside the Maxwell branch [N.s/m]."""
         return self.share * self.C1
 
     @property
     def k(self) -> float:
-        """Stiffness of the Maxwell branch [N/m]."""
+        """Return the stiffness of the Maxwell branch [N/m]."""
         return self.share**2 * self.K1
 
 

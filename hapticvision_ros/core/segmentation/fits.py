@@ -16,11 +16,12 @@
 
 from dataclasses import dataclass
 
+from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
-from hapticvision_ros.core.records import FloatArray
-
 _LAGS = (1, 2, 4, 8, 16)
+# What a shape with a second term must gain over one without [noise variances].
+_COSTS = (0.0, 0.0, 8.0, 8.0, 8.0)
 _P70_OF_NORMAL = 1.0364333894937898
 
 
@@ -30,9 +31,10 @@ def despike(value: FloatArray) -> FloatArray:
         return value
     low = np.minimum(value[:-1], value[1:])
     high = np.maximum(value[:-1], value[1:])
-    out = value.copy()
-    out[1:-1] = np.maximum(low[:-1], np.minimum(high[:-1], value[2:]))
-    return out
+    middle = high[:-1]
+    np.minimum(middle, value[2:], out=middle)
+    np.maximum(middle, low[:-1], out=middle)
+    return np.concatenate((value[:1], middle, value[-1:]))
 
 
 def noise_std(value: FloatArray) -> float:
@@ -57,9 +59,11 @@ def noise_std(value: FloatArray) -> float:
     for lag in _LAGS:
         if value.size < max(5, 100 * (lag - 1)):
             break
-        slope = value[lag:] - value[:-lag]
-        bend = slope[2 * lag :] - 2.0 * slope[lag:-lag] + slope[: -2 * lag]
-        bend = np.abs(bend[:: max(1, bend.size // 4096)])
+        thin = max(1, value.size // 4096)
+        count = (value.size - 3 * lag + thin - 1) // thin
+        at = thin * np.arange(count)
+        bend = value[at + 3 * lag] - value[at] + 3.0 * (value[at + lag] - value[at + 2 * lag])
+        bend = np.abs(bend)
         rank = int(0.7 * (bend.size - 1))
         scale = float(np.partition(bend, rank)[rank]) / (_P70_OF_NORMAL * np.sqrt(20.0))
         worst = max(worst, scale)
@@ -77,15 +81,14 @@ class Onset:
         Time of the onset [s].
     baseline : float
         Baseline at the onset [unit of the signal].
-    gain : float
-        Sum of squares that the onset explains beyond a constant, over the rest's mean
-        square: large where there is an onset at all.
+    rest : float
+        Sum of squares that the onset leaves unexplained [square of the unit].
 
     """
 
     t: float
     baseline: float
-    gain: float
+    rest: float
 
 
 def _binned(
@@ -113,28 +116,24 @@ def _binned(
     )
 
 
-def _sse(design: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the weighted sums of squared residuals, shape (g,), of designs of shape (g, k, n)."""
-    weighted = design * weight
-    normal = weighted @ np.swapaxes(design, 1, 2)
-    scale = np.sqrt(np.maximum(np.einsum('gkk->gk', normal), 1e-300))
-    normal /= scale[:, :, None] * scale[:, None, :]
-    normal += 1e-12 * np.eye(normal.shape[1])
-    moment = (weighted @ target) / scale
-    solution = np.linalg.solve(normal, moment[:, :, None])[:, :, 0] / scale
-    residual = target - np.einsum('gk,gkn->gn', solution, design)
-    return np.asarray((residual * residual) @ weight, dtype=np.float64)
-
-
-def _onset_shapes(u: FloatArray, touching: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the pairs of columns, each (g, 2, n), of a kink, a smooth onset and a jump."""
-    root = np.sqrt(u)
-    kink = np.stack((u, u * u), axis=1)
-    return (
-        kink,
-        np.stack((u * root, u * u * root), axis=1),
-        np.stack((touching, u), axis=1),
-    )
+def _explained(
+    p: FloatArray, q: FloatArray, target: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the sums of squares, shape (g,), that a constant and `p`, or `p` and `q`, fit."""
+    total = float(np.sum(weight))
+    p = p - (p @ weight)[:, None] / total
+    q = q - (q @ weight)[:, None] / total
+    wp = p * weight
+    wy = target * weight
+    pp, pq = np.einsum('gn,gn->g', wp, p), np.einsum('gn,gn->g', wp, q)
+    qq = np.einsum('gn,gn->g', q * weight, q)
+    py, qy = p @ wy, q @ wy
+    one = py * py / np.maximum(pp, 1e-300)
+    # The second column counts for what the first does not hold, if that is more than rounding.
+    rest = qq - pq * pq / np.maximum(pp, 1e-300)
+    second = qy - pq * py / np.maximum(pp, 1e-300)
+    extra = np.where(rest > 1e-10 * qq, second * second / np.maximum(rest, 1e-300), 0.0)
+    return one, one + extra
 
 
 def fit_onset(
@@ -150,9 +149,9 @@ def fit_onset(
     """
     Find where a signal leaves its level baseline as the tool travels on.
 
-    Beyond the onset the signal goes as ``a u + b u^2`` (spring), ``a u^1.5 + b u^2.5`` (Hertz) or
-    ``a + b u`` (a dashpot's jump) of the travel u since the onset; what fits best is taken, the
-    first of these where they fit alike.
+    Beyond the onset the signal goes as ``a u + b u^2`` (spring), ``a u^1.5 + b u^2.5`` (Hertz), as
+    the first term of either, or as ``a + b u`` (a dashpot's jump) of the travel u since the onset.
+    What fits best is taken; a second term has to earn its keep.
 
     Parameters
     ----------
@@ -187,22 +186,21 @@ def fit_onset(
         u = np.maximum(xb - np.interp(starts, tb, xb)[:, None], 0.0) / reach
         touching = (tb > starts[:, None]).astype(np.float64)
         u *= touching
-        line = np.ones((grid, 1, tb.size))
-        offset = vb - np.mean(vb)
-        flat = float(_sse(line[:1], offset, weight)[0])
-        tables = [
-            _sse(np.concatenate((line, shape), axis=1), offset, weight)
-            for shape in _onset_shapes(u, touching)
-        ]
+        offset = vb - float(vb @ weight) / float(np.sum(weight))
+        flat = float((offset * offset) @ weight)
+        square, root = u * u, np.sqrt(u)
+        linear, spring = _explained(u, square, offset, weight)
+        toe, hertz = _explained(u * root, square * root, offset, weight)
+        _, dashpot = _explained(touching, u, offset, weight)
+        tables = [np.maximum(flat - e, 0.0) for e in (linear, toe, spring, hertz, dashpot)]
         least = min(float(np.min(table)) for table in tables)
         unit = least / max(float(np.sum(weight)) - 6.0, 1.0)
-        for table in tables:
-            if float(np.min(table)) <= least + 3.0 * unit:
-                break
+        costs = [float(np.min(table)) + p * unit for table, p in zip(tables, _COSTS, strict=True)]
+        table = tables[int(np.argmin(costs))]
         # Where the data cannot tell (a jump between two samples, a tool that does not move yet)
         # the sum of squares is level: take the middle of a jump, else the last of equals.
         equal = np.flatnonzero(table <= float(np.min(table)) * (1.0 + 1e-9) + 1e-300)
-        run = equal[np.searchsorted(equal, int(np.argmin(table))) :]
+        run = equal[equal >= int(np.argmin(table))]
         best_t, best_sse = float(np.mean(starts[run])), least
         before = tb <= best_t
         if np.any(before):
@@ -211,8 +209,36 @@ def fit_onset(
         low, high = max(low, best_t - 2.0 * step), min(high, best_t + 2.0 * step)
         if high - low <= 0.0:
             break
-    gain = (flat - best_sse) / max(best_sse / max(t.size - 6.0, 1.0), 1e-300)
-    return Onset(best_t, baseline, gain)
+    return Onset(best_t, baseline, best_sse)
+
+
+def fit_from_start(value: FloatArray, travel: FloatArray) -> float:
+    """
+    Return what is left unexplained if the signal rises from its first sample on.
+
+    The least sum of squared residuals of ``c + a u^p + b u^q`` of the travel u, over smooth rises
+    that are convex (a toe) or concave: to be held against that of `fit_onset`.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        The signal.
+    travel : ndarray, shape (n,)
+        Travel since the first sample.
+
+    Returns
+    -------
+    float
+        Sum of squares [square of the unit of `value`].
+
+    """
+    u = np.maximum(travel, 0.0) / max(float(np.max(travel)), 1e-300)
+    first = np.stack((u, u, u, u * u))
+    second = np.stack((u * u, u**3, np.sqrt(u), u**4))
+    offset = value - np.mean(value)
+    weight = np.ones_like(u)
+    explained = float(np.max(_explained(first, second, offset, weight)[1]))
+    return max(float(offset @ offset) - explained, 0.0)
 
 
 def fit_stop(
@@ -248,32 +274,38 @@ def fit_stop(
 
     """
     columns = travel[None, :]
-    longest = max(high - float(t[0]), 0.0) * 0.7
-    stops, slowing = np.linspace(low, high, 17), np.linspace(0.0, longest, 9)
-    best_stop, best_slow = 0.5 * (low + high), 0.0
-    ds, dd = stops[1] - stops[0], slowing[1] - slowing[0]
-    for _round in range(5):
-        centre = best_stop - 0.5 * best_slow
-        half = 0.5 * best_slow + float(stops[-1] - stops[0])
+    longest = max(high - float(t[0]), 0.0)
+    # The corner of line and rest is told well, the slowing about it less so: search in these.
+    corners, slowing = np.linspace(low, high, 21), np.linspace(0.0, longest, 9)
+    dc, dd = corners[1] - corners[0], slowing[1] - slowing[0]
+    corner = slow = 0.0
+    for _round in range(6):
+        centre, half = 0.5 * (corners[0] + corners[-1]), 0.5 * (slowing[-1] + 4.0 * dc)
         tb, (xb,), weight = _binned(t, columns, centre, half, count)
-        stop, slow = (axis.ravel() for axis in np.meshgrid(stops, slowing, indexing='ij'))
-        left = np.maximum(stop[:, None] - tb, 0.0)
-        length = np.maximum(slow, 1e-12)[:, None]
-        shape = np.where(left < length, left * left / (2.0 * length), left - 0.5 * length)
         total = float(np.sum(weight))
         xc = xb - float(xb @ weight) / total
+        at, length = (axis.ravel()[:, None] for axis in np.meshgrid(corners, slowing))
+        left = np.maximum(at + 0.5 * length - tb, 0.0)
+        curve = left * left / (2.0 * np.maximum(length, 1e-300))
+        shape = np.where(left < length, curve, left - 0.5 * length)
         shape -= (shape @ weight)[:, None] / total
-        power = np.maximum((shape * shape) @ weight, 1e-300)
-        sse = float((xc * xc) @ weight) - ((shape * xc) @ weight) ** 2 / power
+        power = np.maximum(np.einsum('gn,gn->g', shape * weight, shape), 1e-300)
+        sse = np.maximum(float((xc * xc) @ weight) - (shape @ (xc * weight)) ** 2 / power, 0.0)
+        # A parabola that no sample shows, or that reaches beyond the bounds of the stop, is none.
+        stop = (at + 0.5 * length)[:, 0]
+        ends = np.searchsorted(tb, stop)
+        shown = ends - np.searchsorted(tb, at[:, 0])
+        late = ends - np.searchsorted(tb, stop - 0.25 * length[:, 0])
+        sse[(stop > high + 1e-12) | ((length[:, 0] > 0.0) & ((shown < 3) | (late < 1)))] = np.inf
         best = int(np.argmin(sse))
-        sharp = np.where(slow == 0.0, sse, np.inf)
+        sharp = np.where(length[:, 0] == 0.0, sse, np.inf)
         sharpest = int(np.argmin(sharp))
-        # A stop within noise of a sharp one is a sharp one.
+        # What is sharp within the noise is sharp.
         if sharp[sharpest] <= sse[best] * (1.0 + 9.0 / max(total - 4.0, 1.0)) + 1e-300:
             best = sharpest
-        best_stop, best_slow = float(stop[best]), float(slow[best])
-        stops = np.clip(best_stop + np.linspace(-1.0, 1.0, 13) * ds, low, high)
-        slowing = np.clip(best_slow + np.linspace(-1.0, 1.0, 9) * dd, 0.0, longest)
+        corner, slow = float(at[best, 0]), float(length[best, 0])
+        corners = np.clip(corner + np.linspace(-1.0, 1.0, 11) * dc, low, high)
+        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 9) * dd, 0.0, longest)
         slowing[0] = 0.0
-        ds, dd = ds / 5.0, dd / 3.5
-    return best_stop
+        dc, dd = dc / 4.0, dd / 3.0
+    return corner + 0.5 * slow

@@ -16,10 +16,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
+from hapticvision_ros.core.segmentation.contact import fit_start, locate_touch, slope
 from hapticvision_ros.core.segmentation.events import SegmentationOptions
 from hapticvision_ros.core.segmentation.fits import (
     despike,
@@ -27,6 +26,7 @@ from hapticvision_ros.core.segmentation.fits import (
     fit_stop,
     noise_std,
 )
+import numpy as np
 
 _FEWEST = 8
 _DEFAULTS = SegmentationOptions()
@@ -158,7 +158,7 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
     f = despike(force.value)
     x = tool_height.value[0] - despike(tool_height.value)
     inside = slice(*np.searchsorted(force.t, (start, stop + 1e-12)))
-    f_noise, x_noise = noise_std(f), noise_std(x)
+    f_noise, x_noise = noise_std(force.value), noise_std(tool_height.value)
     # An encoder's step is an error that a rest does not show.
     steps = np.abs(np.diff(x))
     moving = steps[steps > 0.0]
@@ -195,105 +195,16 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     high = int(np.argmax(before > base + threshold)) * block
     quiet = np.flatnonzero(f[: high + 1] <= base + max(least, 0.01 * amplitude))
     low = int(quiet[-1]) if quiet.size else 0
-    rise = max(high - low, 6)
-    high = min(max(high, low + 2 * rise), f.size - 1)
-    first = max(0, low - max(4 * rise, 40))
-    window = slice(first, high + 1)
-    t_window = tf[window]
-    travel = np.interp(t_window, record.tx, _smooth(record))
-    latest = float(tf[min(high, low + rise)])
-    onset = fit_onset(t_window, f[window], travel, float(t_window[0]), latest)
-    baseline = onset.baseline
-    reach = float(t_window[-1]) - onset.t
-    stop = int(np.searchsorted(tf, onset.t - 0.1 * reach))
-    rises = False
-    if stop >= 20:
-        slope, error = _line(tf[:stop], f[:stop])
-        if abs(slope) > 4.0 * error:
-            rises = abs(slope) * reach > 0.05 * amplitude
-            drift = slope * (t_window - onset.t)
-            onset = fit_onset(t_window, f[window] - drift, travel, float(t_window[0]), latest)
-            baseline = onset.baseline
-    return _judge_contact(record, onset.t, baseline, amplitude, rises, options)
-
-
-def _line(t: FloatArray, value: FloatArray) -> tuple[float, float]:
-    """Return the slope of a straight line and its standard error, from 20 means of blocks."""
-    starts = np.linspace(0, t.size, 21).astype(np.intp)[:-1]
-    size = np.diff(np.append(starts, t.size))
-    tb, vb = np.add.reduceat(t, starts) / size, np.add.reduceat(value, starts) / size
-    tb -= np.mean(tb)
-    power = float(tb @ tb)
-    slope = float(tb @ vb) / power
-    residual = vb - np.mean(vb) - slope * tb
-    return slope, float(np.sqrt(residual @ residual / 18.0 / power))
-
-
-def _smooth(record: _Record) -> FloatArray:
-    """Return the travel with its noise averaged over a hundredth of its range."""
-    x = record.x
-    step = np.abs(np.diff(x))
-    typical = float(np.mean(step[step >= np.quantile(step, 0.9)])) if step.size else 0.0
-    width = 1 + 2 * int(min(50.0, 2.0 * record.travel_noise / max(typical, 1e-300)))
-    if width == 1 or x.size < 2 * width:
-        return x
-    padded = np.concatenate((np.full(width // 2, x[0]), x, np.full(width // 2, x[-1])))
-    total = np.concatenate(([0.0], np.cumsum(padded)))
-    return np.asarray((total[width:] - total[:-width]) / width)
-
-
-def _judge_contact(
-    record: _Record,
-    t: float,
-    baseline: float,
-    amplitude: float,
-    rises: bool,
-    options: SegmentationOptions,
-) -> _Contact:
-    """Tell a contact after an approach from one that was there when the record began."""
-    tf, tx, x = record.tf, record.tx, record.x
-    reach = float(np.max(x) - x[0])
-    away = np.flatnonzero(np.abs(x - x[0]) > 5.0 * record.travel_noise + 1e-3 * reach)
-    start = max(float(tf[0]), float(tx[0]))
-    if away.size == 0:
-        return _Contact(t, baseline, amplitude, ('the tool does not move',))
-    moved = int(away[0])
-    if moved >= 4 and tx[moved] - tx[0] > 0.0:
-        travelled = float(np.interp(t, tx, x)) - float(np.median(x[: moved - 1]))
-        if travelled <= 5.0 * record.travel_noise + 0.01 * reach:
-            started = _fit_start(record, 0, moved, options)
-            still = record.f[tf < started]
-            zero = float(np.mean(still)) if still.size else baseline
-            return _Contact(
-                started,
-                zero,
-                amplitude,
-                (
-                    'the force rises as soon as the tool moves: it rests on the object from the '
-                    f'start, and its reading there, {zero:.4g} N, is taken as the force zero',
-                ),
-            )
-        return _Contact(t, baseline, amplitude, ())
-    if rises or np.count_nonzero(tf < t) <= 3:
-        return _Contact(
-            start,
-            None,
-            amplitude,
-            ('the force rises from the first sample: contact is at the start of the record',),
-        )
-    return _Contact(t, baseline, amplitude, ())
-
-
-def _fit_start(record: _Record, first: int, moved: int, options: SegmentationOptions) -> float:
-    """Return when a tool at rest from sample `first` starts, seen to have moved at `moved`."""
-    tx, x = record.tx, record.x
-    level = float(np.median(x[first:moved]))
-    far = 0.2 * float(np.max(np.abs(x[moved:] - level)))
-    leg = int(np.argmax(np.abs(x[moved:] - level) >= far))
-    last = min(x.size, moved + max(leg, 4) + 1)
-    begin = max(first, moved - max(2 * (last - moved), 8))
-    t = -tx[begin:last][::-1]
-    return -fit_stop(t, x[begin:last][::-1], float(t[0]), float(t[-1]))
+    touch = locate_touch(tf, f, record.tx, record.x, record.travel_noise, low, high)
+    notes = {
+        'approach': (),
+        'rest': (
+            'the force rises as soon as the tool moves: it rests on the object from the start, '
+            f'and its reading there, {touch.zero or 0.0:.4g} N, is taken as the force zero',
+        ),
+        'start': ('the force rises from the first sample: contact is at the start of the record',),
+    }
+    return _Contact(touch.t, touch.zero, amplitude, notes[touch.found])
 
 
 def _find_rests(
@@ -305,7 +216,7 @@ def _find_rests(
         i, size = anchors[-1], 64
         found = -1
         while found < 0 and i + 1 < x.size:
-            chunk = np.abs(x[i : i + size] - x[anchors[-1]]) > band
+            chunk = np.abs(x[i:][:size] - x[anchors[-1]]) > band
             hit = int(np.argmax(chunk))
             if chunk[hit]:
                 found = i + hit
@@ -351,7 +262,10 @@ def _find_motion(
             ['the tool does not push on after contact: the whole record is taken as the hold'],
         )
     band = max(5.0 * record.travel_noise, options.rest_band * reach)
-    rests = _find_rests(tx, x, band, options)
+    # Once most of the depth is withdrawn no hold comes any more.
+    back = np.flatnonzero(x[deepest:] < x_contact + 0.3 * reach)
+    last = deepest + int(back[0]) + 1 if back.size else x.size
+    rests = _find_rests(tx[:last], x[:last], band, options)
     rests = [r for r in rests if r.level - x_contact > 0.05 * reach]
     notes: list[str] = []
     hold: _Rest | None = None
@@ -359,7 +273,8 @@ def _find_motion(
     for rest in rests:
         pushed = float(tx[rest.first]) - t_contact
         lasted = float(tx[rest.stop - 1] - tx[rest.first])
-        ahead = float(np.max(x[rest.stop - 1 :])) - rest.level
+        last = rest.stop - 1
+        ahead = float(np.max(x[last:])) - rest.level
         behind = float(np.max(x[: rest.first + 1])) - rest.level
         if behind > max(2.0 * band, 0.03 * reach):
             break
@@ -379,8 +294,7 @@ def _find_motion(
     if not away:
         notes.append('the tool does not withdraw within the record: the release is missing')
         return t_hold, None, t_stop, hold.level, notes
-    part = _Record(record.tf, record.f, tx, x, record.force_noise, record.travel_noise)
-    t_leave = _fit_start(part, _after(tx, t_hold), left, options)
+    t_leave = fit_start(tx, x, _after(tx, t_hold), left)
     ahead = float(np.max(x[left:])) - hold.level
     if ahead > max(2.0 * band, 0.05 * reach):
         notes.append(
@@ -417,6 +331,21 @@ def _fit_hold(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> f
     return max(t_contact, fit_stop(t, x[low:last], float(t[0]), latest))
 
 
+def _stays_behind(
+    displacement_height: Signal | None, t_contact: float | None, t_end: float, travel: float
+) -> bool:
+    """Whether the surface is seen to lie below the tool at the end of the record."""
+    if displacement_height is None or t_contact is None:
+        return False
+    before = displacement_height.between(-np.inf, t_contact).value
+    late = displacement_height.between(t_end - 0.1 * (t_end - t_contact), np.inf).value
+    if before.size < 5 or late.size < 5:
+        return False
+    noise = max(float(np.std(before)), float(np.std(late)))
+    gap = float(np.median(late)) - float(np.median(before)) - travel
+    return gap > 5.0 * noise + 0.05 * float(np.max(displacement_height.value))
+
+
 def _find_loss(
     record: _Record,
     contact: _Contact,
@@ -429,12 +358,13 @@ def _find_loss(
     """Return t_loss, the force level after it, and warnings."""
     if t_release is None:
         return None, None, []
-    first, last = np.searchsorted(record.tf, (t_release, t_end))
-    t, f = record.tf[first : last + 1], record.f[first : last + 1]
+    first, last = np.searchsorted(record.tf, (t_release, t_end + 1e-9))
+    t, f = record.tf[first:last], record.f[first:last]
     missing = 'the force does not settle on withdrawal: the loss of contact is missing'
     if f.size < 5:
         return None, None, [missing]
-    tail = f[-max(5, f.size // 10) :]
+    late = f.size - max(5, f.size // 10)
+    tail = f[late:]
     level = float(np.mean(tail))
     band = max(
         options.contact_sigmas * record.force_noise, options.loss_fraction * contact.amplitude
@@ -442,10 +372,20 @@ def _find_loss(
     zero = contact.zero if contact.zero is not None else 0.0
     x_end = float(np.interp(t_end, record.tx, record.x))
     slack = 5.0 * record.travel_noise + options.rest_band * float(np.max(record.x) - x_contact)
-    free = x_end < x_contact - slack or abs(level - zero) <= band
+    free = (
+        x_end < x_contact - slack
+        or abs(level - zero) <= band
+        or _stays_behind(displacement_height, contact.t, t_end, x_end - x_contact)
+    )
     settled = abs(float(np.mean(tail[: tail.size // 2])) - level) <= band
     if not settled or (not free and abs(level - zero) > 0.15 * contact.amplitude):
         return None, None, [missing]
+    if free and f.size >= 60:
+        third = f.size - f.size // 3
+        # A drifting zero is a straight line here, and no force.
+        drift, error = slope(t[third:], f[third:])
+        if abs(drift) > 4.0 * error and abs(drift) * float(t[-1] - t[0]) < 0.1 * contact.amplitude:
+            f = f - drift * (t - float(t[f.size - tail.size // 2]))
     outside = np.abs(f - level) > band
     if free:
         coarse = int(np.flatnonzero(outside)[-1]) + 1 if np.any(outside) else 0

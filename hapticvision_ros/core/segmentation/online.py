@@ -14,9 +14,10 @@
 
 """The phases of a running trial, sample by sample."""
 
-import numpy as np
+from collections import deque
 
 from hapticvision_ros.core.records import FloatArray
+from hapticvision_ros.core.segmentation.contact import fit_start, locate_touch
 from hapticvision_ros.core.segmentation.events import (
     EventKind,
     PhaseEvent,
@@ -24,11 +25,20 @@ from hapticvision_ros.core.segmentation.events import (
     SegmentationOptions,
 )
 from hapticvision_ros.core.segmentation.fits import fit_onset, fit_stop
+import numpy as np
 
 _PER_LEVEL = 64
 _LEVELS = 16
 _WARM_UP = 8
-_BASELINE_SAMPLES = 2000.0
+_FAR = 8
+_BASELINE_SAMPLES = 20000.0
+_RISE = 6.0
+_LAG = 512
+_FEW = 64
+# For a normal distribution, of third differences of variance 20.
+_MEAN_BEND_TO_STD = 0.28025
+# White noise over its running median of three, in standard deviations.
+_MEDIAN_OF_3 = 1.49
 _NOISE_SAMPLES = 4096.0
 _DEFAULTS = SegmentationOptions()
 
@@ -81,13 +91,20 @@ class _Stream:
         self.step = 0.0
         self._raw: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._last: tuple[float, float] | None = None
-        self._recent = (0.0, 0.0, 0.0)
+        self._near: deque[float] = deque(maxlen=4)
+        self._far: deque[float] = deque(maxlen=3 * _FAR + 1)
         self._bend = 0.0
+        self._far_bend = 0.0
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a sample, from the mean size of its third differences."""
-        return self._bend * 0.2803
+        """
+        Return the standard deviation of a sample, from the mean size of its third differences.
+
+        Those of neighbours, and of samples further apart, for noise that is correlated; but not
+        many times larger, for that is the signal.
+        """
+        return _MEAN_BEND_TO_STD * max(self._bend, min(self._far_bend, 6.0 * self._bend))
 
     def add(self, t: float, value: float) -> bool:
         """Take a sample; return whether one (the sample before it) has become final."""
@@ -96,6 +113,7 @@ class _Stream:
             return False
         if t <= self._last[0]:
             return False
+        self._learn_noise(value)
         if self._raw is None:
             self._raw = ((self._last), (t, value))
             self._accept(*self._last)
@@ -110,20 +128,29 @@ class _Stream:
         self._accept(now_t, middle)
         return True
 
+    def _learn_noise(self, value: float) -> None:
+        """Follow the size of the third differences of neighbouring raw samples."""
+        near, n = self._near, self.count
+        near.append(value)
+        if n < 3:
+            return
+        bend = abs(value - near[0] + 3.0 * (near[1] - near[2]))
+        # A spike is no noise: one difference counts for no more than four usual ones.
+        if n > 16 and bend > 4.0 * self._bend > 0.0:
+            bend = 4.0 * self._bend
+        self._bend += (bend - self._bend) * max(1.0 / (n - 2), 1.0 / _NOISE_SAMPLES)
+
     def _accept(self, t: float, value: float) -> None:
         if self.count:
             self.step += (t - self.t - self.step) * max(1.0 / self.count, 0.01)
-        a, b, c = self._recent
-        if self.count >= 3:
-            bend = abs(value - 3.0 * c + 3.0 * b - a)
-            rate = max(1.0 / (self.count - 2), 1.0 / _NOISE_SAMPLES)
-            # A corner is no noise: one difference counts for no more than four usual ones.
-            if self.count > 16:
-                bend = min(bend, 4.0 * self._bend)
-            self._bend += (bend - self._bend) * rate
-        self._recent = (b, c, value)
         self.count += 1
         self.t, self.value = t, value
+        far = self._far
+        far.append(value)
+        if self.count > 4 * _FAR:
+            bend = abs(value - far[0] + 3.0 * (far[_FAR] - far[2 * _FAR]))
+            rate = max(1.0 / (self.count - 4 * _FAR), 1.0 / _NOISE_SAMPLES)
+            self._far_bend += (_MEDIAN_OF_3 * bend - self._far_bend) * rate
         self.history.push(t, value)
 
 
@@ -150,8 +177,17 @@ class OnlineSegmenter:
         self._height = _Stream()
         self._phase: PhaseName = 'approach'
         self._baseline = 0.0
+        self._drift = 0.0
+        self._mean = 0.0
+        self._followed = 0
+        self._latest: deque[tuple[float, float]] = deque(maxlen=_LAG + 1)
+        self._lowest = 0.0
+        self._t_baseline = 0.0
+        self._first = 0.0
         self._fast = 0.0
         self._over = 0
+        self._x_first = 0.0
+        self._moving_from_start = False
         self._peak = 0.0
         self._t_contact = 0.0
         self._x_contact = 0.0
@@ -169,12 +205,12 @@ class OnlineSegmenter:
 
     @property
     def phase(self) -> PhaseName:
-        """The phase that the trial is in, as far as the samples show."""
+        """Return the phase that the trial is in, as far as the samples show."""
         return self._phase
 
     @property
     def force_zero(self) -> float:
-        """The load cell's reading without contact [N], as known so far."""
+        """Return the load cell's reading without contact [N], as known so far."""
         return self._baseline
 
     def add_force(self, t: float, value: float) -> tuple[PhaseEvent, ...]:
@@ -224,6 +260,12 @@ class OnlineSegmenter:
         """
         if not self._height.add(t, -value):
             return ()
+        height = self._height
+        if height.count == 1:
+            self._x_first = height.value
+        elif height.count == _WARM_UP:
+            away = abs(height.value - self._x_first)
+            self._moving_from_start = away > 5.0 * height.noise + 1e-12
         if self._phase == 'push':
             return self._watch_hold(t)
         if self._phase == 'hold':
@@ -244,37 +286,60 @@ class OnlineSegmenter:
     def _watch_contact(self, now: float) -> tuple[PhaseEvent, ...]:
         force, options = self._force, self._options
         if force.count == 1:
-            self._baseline = self._fast = force.value
+            self._baseline = self._fast = self._first = self._mean = force.value
+            self._lowest = force.value
+            self._t_baseline = force.t
+            self._followed = 1
             return ()
+        # The baseline is a straight line through all of the past but the latest quarter, so that
+        # an onset has time to stand out; in Holt's recursive form, with the gains of least
+        # squares, and the far past forgotten slowly.
+        self._latest.append((force.t, force.value))
+        expected = self._mean
+        if self._followed > _FEW:
+            expected = self._baseline + self._drift * (force.t - self._t_baseline)
         self._fast += (force.value - self._fast) * 0.5
-        excess = self._fast - self._baseline
+        excess = self._fast - expected
+        self._lowest = min(self._lowest, self._fast)
         limit = options.contact_sigmas * force.noise + 1e-9 * abs(self._baseline)
-        if excess < 0.5 * limit or force.count < _WARM_UP:
-            rate = max(1.0 / force.count, 1.0 / _BASELINE_SAMPLES)
-            self._baseline += (force.value - self._baseline) * rate
-            self._over = 0
-            return ()
-        self._over = self._over + 1 if excess > limit else 0
+        if force.count < _FEW:
+            limit *= 3.0
+        if (excess < 0.5 * limit or force.count < _WARM_UP) and (
+            len(self._latest) > min(force.count // 4, _LAG)
+        ):
+            self._follow(*self._latest.popleft())
+        over = excess > limit and self._fast - self._lowest > limit
+        # A force that rises from the first sample is itself the line.
+        rises = self._moving_from_start and self._fast - self._first > _RISE * limit
+        self._over = self._over + 1 if over or rises else 0
         if self._over < 3 or self._height.count < 3:
             return ()
         t, f = force.history.arrays()
         tx, x = self._height.history.arrays()
-        quiet = np.flatnonzero(f - self._baseline <= 0.5 * limit)
+        line = np.full_like(t, self._first if rises else self._mean)
+        if self._followed > _FEW and not rises:
+            line = self._baseline + self._drift * (t - self._t_baseline)
+        quiet = np.flatnonzero(f - line <= 0.5 * limit)
         low = int(quiet[-1]) if quiet.size else 0
-        rise = max(f.size - low, 6)
-        first = max(0, low - max(4 * rise, 40))
-        window = slice(first, f.size)
-        travel = np.interp(t[window], tx, x)
-        t_contact = fit_onset(t[window], f[window], travel, float(t[first]), float(t[-1])).t
-        if np.count_nonzero(t < t_contact) <= 3:
-            t_contact = float(max(t[0], tx[0]))
-        before = t < t_contact
-        self._baseline = float(np.mean(f[before])) if np.any(before) else 0.0
+        touch = locate_touch(t, f, tx, x, self._height.noise, low, f.size - 1)
+        t_contact = touch.t
+        self._baseline = touch.zero if touch.zero is not None else 0.0
         self._t_contact = t_contact
         self._x_contact = float(np.interp(t_contact, tx, x))
         self._peak = float(f[-1]) - self._baseline
         self._start_push(float(tx[-1]), float(x[-1]), t_contact, self._x_contact)
         return self._event('contact', t_contact, now)
+
+    def _follow(self, t: float, value: float) -> None:
+        """Take a sample into the baseline."""
+        self._followed += 1
+        n = min(float(self._followed), _BASELINE_SAMPLES)
+        self._mean += (value - self._mean) / n
+        expected = self._baseline + self._drift * (t - self._t_baseline)
+        error = value - expected
+        self._baseline = expected + error * (4.0 * n - 2.0) / (n * (n + 1.0))
+        self._drift += error * 6.0 / (n * (n + 1.0)) / max(self._force.step, 1e-12)
+        self._t_baseline = t
 
     def _start_push(self, t: float, x: float, t_from: float, x_from: float) -> None:
         self._top, self._t_top = x, t
@@ -299,7 +364,7 @@ class OnlineSegmenter:
                 self._pushed = (keep * dx + x - x_anchor, keep * dt + t - t_anchor)
             self._anchor = (t, x)
             self._band = max(5.0 * height.noise, options.rest_band * travel, 1e-12)
-            if self._top - x > 5.0 * self._band:
+            if self._top - x > max(20.0 * height.noise, 0.3 * (self._top - self._x_contact)):
                 self._t_release, self._level = self._t_top, self._top
                 self._still = (now, self._force.value)
                 return self._event('release', self._t_top, now)
@@ -316,7 +381,8 @@ class OnlineSegmenter:
             return ()
         tx, xs = height.history.arrays()
         tail = xs[tx >= t_anchor]
-        self._level = float(np.median(tail[tail.size // 3 :]))
+        third = tail.size // 3
+        self._level = float(np.median(tail[third:]))
         self._held = 1
         begin = int(np.searchsorted(tx, self._t_contact))
         low = begin + int(
@@ -341,11 +407,8 @@ class OnlineSegmenter:
         if self._away < 3:
             return ()
         tx, xs = height.history.arrays()
-        begin = int(np.searchsorted(tx, self._t_hold))
-        moved = max(tx.size - 3, begin + 1)
-        begin = max(begin, moved - max(4 * (tx.size - moved), 40))
-        back_t, back_x = -tx[begin:][::-1], xs[begin:][::-1]
-        t_start = -fit_stop(back_t, back_x, float(back_t[0]), float(back_t[-1]))
+        begin = min(int(np.searchsorted(tx, self._t_hold)), tx.size - 4)
+        t_start = fit_start(tx, xs, begin, tx.size - 3)
         if off > 0.0:
             self._start_push(height.t, height.value, t_start, self._level)
             return self._event('step', t_start, now)
@@ -375,7 +438,7 @@ class OnlineSegmenter:
             np.abs(f[begin:] - self._baseline) > max(4.0 * band, 0.2 * self._peak)
         )
         first = begin + int(big[-1]) if big.size else begin
-        first = max(0, min(first, f.size - 12))
+        first = max(0, min(first, int(np.searchsorted(t, t_still)) - 6))
         back_t, back_f = -t[first:][::-1], f[first:][::-1]
         onset = fit_onset(back_t, back_f, back_t, float(back_t[0]), float(back_t[-1]))
         return self._event('loss', max(-onset.t, self._t_release), now)

@@ -1,0 +1,148 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``hapticvision cell``: the seven nodes and the simulated cell, where there is no ros2 launch."""
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from hapticvision_ros.cli.processes import node, program, ros_environment, Supervisor
+from hapticvision_ros.cli.replay import check_domain
+from hapticvision_ros.core.errors import InputError, UsageError
+
+NODES: Final = (
+    'range_sensor_driver',
+    'load_cell_driver',
+    'arm_push_controller',
+    'contact_point_planner',
+    'phase_segmenter',
+    'rheology_fitter',
+    'experiment_orchestrator',
+)
+WORLD: Final = 'simulated_world'
+CLIENT: Final = 'experiment_client'
+WORLD_CONFIG: Final = 'sim_world.yaml'
+NEEDS_WORLD: Final = (
+    'range_sensor_driver',
+    'load_cell_driver',
+    'arm_push_controller',
+    'experiment_orchestrator',
+)
+WORLD_DEADLINE: Final = 30.0
+CLIENT_GRACE: Final = 45.0
+"""How long the client may take to cancel: the tool has to retract [s]."""
+GOAL_OPTIONS: Final = ('speeds', 'depths', 'repeats', 'hold_time', 'recover_time', 'rest_time')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument(
+        '--object', default='soft_dough', help='the simulated object (default: soft_dough)'
+    )
+    parser.add_argument(
+        '--config',
+        type=Path,
+        metavar='DIR',
+        help=f'folder with parameter files NODE.yaml and {WORLD_CONFIG} that replace the '
+        "package's own; what it lacks stays as it is",
+    )
+    parser.add_argument('--domain', type=int, metavar='ID', help='ROS domain')
+    parser.add_argument(
+        '--run',
+        action='store_true',
+        help='run one experiment, show its progress, and stop; else the nodes run until Ctrl-C',
+    )
+    goal = parser.add_argument_group(
+        'the experiment of --run', 'What is not given stays as config/ has it. SI units.'
+    )
+    goal.add_argument('--speeds', nargs='+', type=float, metavar='M_S', help='push speeds [m/s]')
+    goal.add_argument('--depths', nargs='+', type=float, metavar='M', help='push depths [m]')
+    goal.add_argument('--repeats', type=int, help='how often the grid is gone through')
+    goal.add_argument('--hold-time', type=float, metavar='S', help='time at the depth [s]')
+    goal.add_argument('--recover-time', type=float, metavar='S', help='time after release [s]')
+    goal.add_argument('--rest-time', type=float, metavar='S', help='pause between trials [s]')
+    goal.add_argument('--out', type=Path, metavar='DIR', help='folder for the bags')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Start the cell and return the exit code."""
+    _check(args)
+    with Supervisor(ros_environment(args.domain)) as supervisor:
+        port = _start_world(supervisor, args)
+        supervisor.start({name: _node(name, port, args.config) for name in NODES})
+        if not args.run:
+            return supervisor.wait()
+        goal = _goal(args)
+        command = program(f'hapticvision_ros.nodes.{CLIENT}', *goal)
+        supervisor.start({CLIENT: command}, labelled=False, grace=CLIENT_GRACE)
+        return supervisor.wait(CLIENT)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what cannot work, before anything is started."""
+    check_domain(args.domain)
+    given = [name for name in (*GOAL_OPTIONS, 'out') if getattr(args, name) is not None]
+    if given and not args.run:
+        options = ', '.join('--' + name.replace('_', '-') for name in given)
+        raise UsageError(f'{options} belongs to an experiment: add --run.')
+    if args.run and args.out is None:
+        raise UsageError('--run needs --out DIR, the folder for the bags.')
+    if args.config is not None:
+        known = {f'{name}.yaml' for name in NODES} | {WORLD_CONFIG}
+        if not args.config.is_dir():
+            raise InputError(f'--config {args.config} is no folder.')
+        if not any((args.config / name).is_file() for name in known):
+            raise InputError(f'--config {args.config} holds none of {", ".join(sorted(known))}.')
+    from hapticvision_ros.sim.config import load_config
+
+    load_config(_file(args.config, WORLD_CONFIG)).material(args.object)
+
+
+def _file(folder: Path | None, name: str) -> Path | None:
+    """Return a file of the user's folder, or None where the package's own is to be used."""
+    return folder / name if folder is not None and (folder / name).is_file() else None
+
+
+def _start_world(supervisor: Supervisor, args: argparse.Namespace) -> int:
+    """Start the simulated world and return its port."""
+    options = ['--object', args.object]
+    config = _file(args.config, WORLD_CONFIG)
+    if config is not None:
+        options += ['--config', str(config)]
+    supervisor.start({WORLD: program('hapticvision_ros.sim.server', *options)})
+    line = supervisor.wait_for_line(WORLD, 'ready ', WORLD_DEADLINE)
+    return int(line.split()[1])
+
+
+def _node(name: str, port: int, folder: Path | None) -> list[str]:
+    """Return the command of a node with its parameters."""
+    options = ['--ros-args']
+    config = _file(folder, f'{name}.yaml')
+    if config is not None:
+        options += ['--params-file', str(config)]
+    if name in NEEDS_WORLD:
+        options += ['-p', f'simulated_world_port:={port}']
+    return node(name, *options)
+
+
+def _goal(args: argparse.Namespace) -> list[str]:
+    """Return the arguments of the client."""
+    options = ['--output-folder', str(args.out.absolute())]
+    for name in GOAL_OPTIONS:
+        value = getattr(args, name)
+        if value is not None:
+            values = value if isinstance(value, list) else [value]
+            options += ['--' + name.replace('_', '-'), *(repr(item) for item in values)]
+    return options

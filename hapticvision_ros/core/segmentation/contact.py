@@ -1,0 +1,204 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where the tool first touches the object, once it is known about when."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from hapticvision_ros.core.records import FloatArray
+from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop
+import numpy as np
+
+_BLOCKS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """
+    The first touch.
+
+    Parameters
+    ----------
+    t : float
+        Its time [s].
+    zero : float or None
+        Force just before [N]; None if the record has none.
+    drift : float
+        Drift of the force before [N/s].
+    found : {'approach', 'rest', 'start'}
+        After an approach in air; as a tool that rested on the object starts; or the record
+        starts in contact.
+
+    """
+
+    t: float
+    zero: float | None
+    drift: float
+    found: Literal['approach', 'rest', 'start']
+
+
+def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:
+    """
+    Fit a straight line to the means of blocks, so that correlated noise is not underrated.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times [s]; n of at least 20.
+    value : ndarray, shape (n,)
+        The signal.
+
+    Returns
+    -------
+    slope, error : float
+        Slope of the line [unit of `value`/s] and its standard error.
+
+    """
+    starts = np.linspace(0, t.size, _BLOCKS + 1).astype(np.intp)[:-1]
+    size = np.diff(np.append(starts, t.size))
+    tb, vb = np.add.reduceat(t, starts) / size, np.add.reduceat(value, starts) / size
+    tb -= np.mean(tb)
+    power = float(tb @ tb)
+    steepness = float(tb @ vb) / power
+    residual = vb - np.mean(vb) - steepness * tb
+    return steepness, float(np.sqrt(residual @ residual / (_BLOCKS - 2.0) / power))
+
+
+def smooth(x: FloatArray, noise: float) -> FloatArray:
+    """
+    Average the noise of a travel out, over as many samples as the tool is fast beside it.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Travel [m].
+    noise : float
+        Standard deviation of a sample [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The moving average; `x` itself where there is no noise to speak of.
+
+    """
+    step = np.abs(np.diff(x))
+    fast = float(np.partition(step, int(0.9 * (step.size - 1)))[int(0.9 * (step.size - 1))])
+    width = 1 + 2 * int(min(50.0, 2.0 * noise / max(fast, 1e-300)))
+    if width == 1 or x.size < 2 * width:
+        return x
+    padded = np.concatenate((np.full(width // 2, x[0]), x, np.full(width // 2, x[-1])))
+    total = np.concatenate(([0.0], np.cumsum(padded)))
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def fit_start(t: FloatArray, x: FloatArray, first: int, moved: int) -> float:
+    """
+    Find when a tool at rest starts.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times [s].
+    x : ndarray, shape (n,)
+        Travel [m].
+    first, moved : int
+        The tool rests from sample `first` and is clearly away at sample `moved`.
+
+    Returns
+    -------
+    float
+        Time of the start [s].
+
+    """
+    level = float(np.median(x[first:moved]))
+    off = np.abs(x[moved:] - level)
+    leg = int(np.argmax(off >= 0.2 * float(np.max(off))))
+    last = min(x.size, moved + max(leg, 4) + 1)
+    near = np.flatnonzero(np.abs(x[first:last] - level) <= 0.1 * abs(float(x[last - 1]) - level))
+    settled = first + int(near[-1]) if near.size else moved
+    begin = max(first, settled - max(2 * (last - settled), 8))
+    back = -t[begin:last][::-1]
+    return -fit_stop(back, x[begin:last][::-1], float(back[0]), float(back[-1]))
+
+
+def locate_touch(
+    t: FloatArray,
+    force: FloatArray,
+    tx: FloatArray,
+    x: FloatArray,
+    travel_noise: float,
+    low: int,
+    high: int,
+) -> Touch:
+    """
+    Find the first touch finer than a sample.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times of the force [s].
+    force : ndarray, shape (n,)
+        Force [N] with its offset.
+    tx : ndarray, shape (m,)
+        Times of the travel [s].
+    x : ndarray, shape (m,)
+        Travel of the tool toward the object [m].
+    travel_noise : float
+        Standard deviation of a sample of `x` [m].
+    low, high : int
+        Samples of the force: not yet touching at `low`, surely touching at `high`.
+
+    Returns
+    -------
+    Touch
+        The touch.
+
+    """
+    rise = max(high - low, 6)
+    stop = min(max(high, low + 2 * rise) + 1, t.size)
+    first = low - max(4 * rise, 40)
+    first = 0 if first < 40 else first
+    tw, fw = t[first:stop], force[first:stop]
+    travel = np.interp(tw, tx, smooth(x, travel_noise))
+    earliest, latest = float(tw[0]), float(t[min(stop - 1, low + rise)])
+    onset = fit_onset(tw, fw, travel, earliest, latest)
+    rises = False
+    if first == 0 and np.count_nonzero(tw < onset.t) < _BLOCKS:
+        # So short a baseline could be the foot of a toe.
+        doubt = fit_from_start(fw, travel - travel[0]) / max(onset.rest, 1e-300)
+        rises = doubt < 2.0 or (doubt - 1.0) * (tw.size - 5.0) < 30.0
+    reach = float(tw[-1]) - onset.t
+    before = int(np.searchsorted(t, onset.t - 0.1 * reach))
+    drift = 0.0
+    if before >= _BLOCKS:
+        drift, error = slope(t[:before], force[:before])
+        if abs(drift) > 4.0 * error:
+            rises = drift * reach > 0.125 * (float(fw[-1]) - onset.baseline)
+            onset = fit_onset(tw, fw - drift * (tw - onset.t), travel, earliest, latest)
+        else:
+            drift = 0.0
+    far = float(np.max(x) - x[0])
+    away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
+    moved = int(np.argmax(away))
+    if moved >= 4:
+        travelled = float(np.interp(onset.t, tx, x)) - float(np.median(x[: moved - 1]))
+        if travelled <= 5.0 * travel_noise + 0.01 * far:
+            started = fit_start(tx, x, 0, moved)
+            still = force[t < started]
+            zero = float(np.mean(still)) if still.size else None
+            return Touch(started, zero, 0.0, 'rest')
+    elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
+        return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
+    return Touch(onset.t, onset.baseline, drift, 'approach')

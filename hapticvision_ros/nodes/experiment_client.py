@@ -1,0 +1,244 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Send a goal to the experiment orchestrator, tell its progress, and cancel it on Ctrl-C.
+
+A process of its own, since the command line does not speak ROS.
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any, Final
+
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
+from hapticvision_ros.bag.contract import (
+    CANCEL_EXPERIMENT,
+    EXPERIMENT_FEEDBACK,
+    EXPERIMENT_RESULT,
+    EXPERIMENT_STATUS,
+    RHEOLOGY_RESULT,
+    Service,
+    START_EXPERIMENT,
+)
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
+from hapticvision_ros.nodes.conversions import values_from_status
+from hapticvision_ros.nodes.qos import create_client, create_subscription
+from rcl_interfaces.srv import SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+NAME: Final = 'experiment_client'
+SERVER: Final = 'experiment_orchestrator'
+ANSWER_DEADLINE: Final = 30.0
+"""How long the orchestrator may take to come up and to answer [s]."""
+SILENCE: Final = 15.0
+"""An orchestrator that gives no feedback for so long is gone [s]."""
+CANCEL_DEADLINE: Final = 40.0
+"""How long a cancelled push may take to retract [s]."""
+
+EXIT_CODES: Final = {
+    GoalStatus.STATUS_SUCCEEDED: 0,
+    GoalStatus.STATUS_ABORTED: 1,
+    GoalStatus.STATUS_CANCELED: 130,
+}
+
+
+class ExperimentError(HapticVisionError):
+    """The orchestrator does not answer."""
+
+    exit_code = 1
+
+
+class ExperimentClient:
+    """One goal, from the sending to the result."""
+
+    def __init__(self) -> None:
+        self._node = rclpy.create_node(NAME)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._goal_id = ''
+        self._result: Any = None
+        self._status = 0
+        self._heard = time.monotonic()
+        self._told = ''
+        self._fitted = 0
+        self._interrupted = False
+        create_subscription(self._node, EXPERIMENT_FEEDBACK, self._on_feedback)
+        create_subscription(self._node, EXPERIMENT_STATUS, self._on_status)
+        create_subscription(self._node, EXPERIMENT_RESULT, self._on_result)
+        self._rheology = create_subscription(self._node, RHEOLOGY_RESULT, self._on_rheology)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """Ask for the cancelling of the goal."""
+        self._interrupted = True
+
+    def configure(self, values: dict[str, Any]) -> None:
+        """
+        Set the orchestrator's parameters: the goal's content.
+
+        Raises
+        ------
+        UsageError
+            If it refuses one.
+
+        """
+        client = self._node.create_client(SetParameters, f'{SERVER}/set_parameters')
+        request = SetParameters.Request(
+            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        )
+        answer = self._call(client, request, f'the parameters of {SERVER}')
+        refusals = [item.reason for item in answer.results if not item.successful]
+        if refusals:
+            raise UsageError(' '.join(refusals))
+
+    def run(self) -> int:
+        """
+        Send the goal and return the exit code once it has ended.
+
+        Raises
+        ------
+        ExperimentError
+            If the orchestrator does not answer.
+        UsageError
+            If it refuses the goal.
+
+        """
+        answer = self._call_service(START_EXPERIMENT, Trigger.Request())
+        if not answer.success:
+            raise UsageError(answer.message)
+        self._goal_id = answer.message
+        self._heard = time.monotonic()
+        deadline: float | None = None
+        while self._result is None or self._status not in EXIT_CODES:
+            self._executor.spin_once(timeout_sec=0.1)
+            now = time.monotonic()
+            if self._interrupted and deadline is None:
+                deadline = now + CANCEL_DEADLINE
+                print('cancelling: the tool retracts', flush=True)
+                self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request())
+            if now - self._heard > SILENCE or (deadline is not None and now > deadline):
+                raise ExperimentError(
+                    f'{SERVER} has been silent for too long: see whether it runs.'
+                )
+        complete = int(values_from_status(self._result)['complete'])
+        if self._node.count_publishers(self._rheology.topic_name):
+            self._spin_until(lambda: self._fitted >= complete or self._interrupted)
+        self._tell_result()
+        return EXIT_CODES[self._status]
+
+    def _call_service(self, service: Service, request: Any) -> Any:
+        return self._call(create_client(self._node, service), request, service.name)
+
+    def _call(self, client: Any, request: Any, what: str) -> Any:
+        """Return the answer of a service."""
+        try:
+            if not self._spin_until(client.service_is_ready):
+                raise ExperimentError(f'{what}: not there within {ANSWER_DEADLINE:g} s.')
+            future = client.call_async(request)
+            if not self._spin_until(future.done):
+                raise ExperimentError(f'{what}: no answer within {ANSWER_DEADLINE:g} s.')
+            return future.result()
+        finally:
+            self._node.destroy_client(client)
+
+    def _spin_until(self, condition: Callable[[], bool]) -> bool:
+        end = time.monotonic() + ANSWER_DEADLINE
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.1)
+        return True
+
+    def _on_feedback(self, message: Any) -> None:
+        values = values_from_status(message)
+        if not self._goal_id or values.get('goal_id') != self._goal_id:
+            return
+        self._heard = time.monotonic()
+        line = f'trial {values["trial"]} of {values["trials"]} ({values["name"]}): '
+        if line + message.message != self._told:
+            self._told = line + message.message
+            left = float(values['time_left_s'])
+            print(f'{self._told}, at least {left:.0f} s left', flush=True)
+
+    def _on_status(self, message: Any) -> None:
+        for status in message.status_list:
+            if bytes(status.goal_info.goal_id.uuid).hex() == self._goal_id:
+                self._status = int(status.status)
+
+    def _on_result(self, message: Any) -> None:
+        if self._goal_id and values_from_status(message).get('goal_id') == self._goal_id:
+            self._result = message
+
+    def _on_rheology(self, message: Any) -> None:
+        if self._goal_id:
+            self._fitted += 1
+            print(f'fitted: {message.message}', flush=True)
+
+    def _tell_result(self) -> None:
+        values = values_from_status(self._result)
+        for number in range(1, int(values['trials']) + 1):
+            bag = values.get(f'bag {number}')
+            if bag is not None:
+                print(f'{values[f"outcome {number}"]}: {bag or "no bag"}')
+        print(
+            f'{values["status"]}: {values["complete"]} of {values["trials"]} trials complete; '
+            f'{self._result.message}',
+            flush=True,
+        )
+
+
+def _arguments(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=NAME, description='Run an experiment and watch it.')
+    parser.add_argument('--speeds', nargs='+', type=float, metavar='M_S')
+    parser.add_argument('--depths', nargs='+', type=float, metavar='M')
+    parser.add_argument('--repeats', type=int)
+    parser.add_argument('--hold-time', type=float, metavar='S')
+    parser.add_argument('--recover-time', type=float, metavar='S')
+    parser.add_argument('--rest-time', type=float, metavar='S')
+    parser.add_argument('--output-folder', metavar='DIR')
+    return parser.parse_args(argv)
+
+
+def main() -> int:
+    """Run an experiment and return the process's exit code."""
+    given = vars(_arguments(sys.argv[1:]))
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    client = ExperimentClient()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, client.interrupt)
+    try:
+        values = {name: value for name, value in given.items() if value is not None}
+        if values:
+            client.configure(values)
+        return client.run()
+    except HapticVisionError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return error.exit_code
+    finally:
+        client.close()
+        rclpy.try_shutdown()

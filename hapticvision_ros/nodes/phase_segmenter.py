@@ -1,0 +1,218 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Tell the phases of the running trial from its signals alone, as they come.
+
+A trial begins at the phase ``approach`` of ``/experiment/phase``. Where nobody publishes that
+topic, it begins when the tool comes down again after a recovery.
+"""
+
+import math
+from typing import Final
+
+from hapticvision_ros.bag.contract import (
+    CONTACT_TIME,
+    DETECTED_PHASE,
+    HOLD_TIME,
+    PHASE,
+    RELEASE_TIME,
+    TOOL_HEIGHT,
+    WRENCH,
+)
+from hapticvision_ros.core.segmentation import OnlineSegmenter, PhaseEvent, SegmentationOptions
+from hapticvision_ros.nodes.clock import MessageClock
+from hapticvision_ros.nodes.conversions import (
+    contact_force,
+    ns_from_stamp,
+    scalar_to_message,
+    text_to_message,
+)
+from hapticvision_ros.nodes.intake import Intake
+from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.qos import create_publisher
+from hapticvision_ros.nodes.runtime import CellNode, run
+import numpy as np
+from rclpy.clock import Clock, ClockType
+
+NAME: Final = 'phase_segmenter'
+
+PARAMETERS: Final = (
+    ParameterSpec(
+        'contact_sigmas',
+        'double',
+        '-',
+        'Force above its baseline that is a contact, in standard deviations of the noise.',
+        1.0,
+        100.0,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'rest_band',
+        'double',
+        '-',
+        'Part of the travel since contact within which a tool that stays is at rest.',
+        0.0001,
+        0.4,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'rest_slowdown',
+        'double',
+        '-',
+        'A tool at rest takes so many times longer to cross that band than while pushing.',
+        1.1,
+        1000.0,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'loss_fraction',
+        'double',
+        '-',
+        'Part of the peak force below which a withdrawn tool is free.',
+        0.0001,
+        0.4,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'approach_travel',
+        'double',
+        'm',
+        'How far a tool comes down after a recovery when it approaches again.',
+        0.0001,
+        0.1,
+        read_only=True,
+    ),
+    ParameterSpec(
+        'tick_period',
+        'double',
+        's',
+        'Period at which messages are taken.',
+        0.005,
+        0.2,
+        read_only=True,
+    ),
+)
+
+_TICKS: Final = 1000
+_NS_PER_S: Final = 1e9
+
+
+class PhaseSegmenter(CellNode):
+    """The node."""
+
+    def __init__(self) -> None:
+        super().__init__(NAME, PARAMETERS)
+        values = self.parameters
+        self._options = SegmentationOptions(
+            contact_sigmas=values.real('contact_sigmas'),
+            rest_band=values.real('rest_band'),
+            rest_slowdown=values.real('rest_slowdown'),
+            loss_fraction=values.real('loss_fraction'),
+        )
+        self._approach_travel = values.real('approach_travel')
+        self._clock = MessageClock(self)
+        self._segmenter = OnlineSegmenter(self._options)
+        self._start_ns: int | None = None
+        self._told: str | None = None
+        self._commanded = False
+        self._highest: float | None = None
+
+        self._phase_intake = Intake.of(self, PHASE)
+        self._wrench_intake = Intake.of(self, WRENCH)
+        self._height_intake = Intake.of(self, TOOL_HEIGHT)
+        self._phase_publisher = create_publisher(self, DETECTED_PHASE)
+        self._time_publishers = {
+            'contact': create_publisher(self, CONTACT_TIME),
+            'hold': create_publisher(self, HOLD_TIME),
+            'release': create_publisher(self, RELEASE_TIME),
+        }
+        self.create_timer(
+            values.real('tick_period'),
+            self._on_tick,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+
+    def _on_tick(self) -> None:
+        """Take what has come, and give it to the segmenter in the order of time."""
+        for message, _, _ in self._phase_intake.take():
+            self._commanded = True
+            if message.data == 'approach':
+                self._begin()
+        forces = [
+            (ns_from_stamp(message.header.stamp), contact_force(message))
+            for message, _, _ in self._wrench_intake.take()
+        ]
+        heights = [(sent, float(message.data)) for message, sent, _ in self._height_intake.take()]
+        # After the messages, so that the tick that was sent before each of them is there.
+        self._clock.update()
+        self._clock.forget(_TICKS)
+        sent = np.array([item[0] for item in heights], dtype=np.int64)
+        stamps = self._clock.times(sent)
+        samples = [(stamp, True, force) for stamp, force in forces]
+        samples += [
+            (int(stamp), False, height)
+            for stamp, (_, height) in zip(stamps, heights[: stamps.size], strict=True)
+        ]
+        samples.sort()
+        for stamp, is_force, value in samples:
+            self._add(stamp, is_force, value)
+
+    def _begin(self) -> None:
+        """Begin a new trial."""
+        self._segmenter = OnlineSegmenter(self._options)
+        self._start_ns = None
+        self._highest = None
+        self._tell('approach')
+
+    def _add(self, stamp: int, is_force: bool, value: float) -> None:
+        """Give the segmenter one sample."""
+        if not math.isfinite(value):
+            return
+        if self._start_ns is None:
+            self._start_ns = stamp
+            self._tell(self._segmenter.phase)
+        t = (stamp - self._start_ns) / _NS_PER_S
+        if is_force:
+            events = self._segmenter.add_force(t, value)
+        else:
+            events = self._segmenter.add_height(t, value)
+            self._watch_approach(value)
+        for event in events:
+            self._on_event(event)
+
+    def _watch_approach(self, height: float) -> None:
+        """Without a commanded phase: see whether the tool comes down for the next trial."""
+        if self._commanded or self._segmenter.phase != 'recover':
+            return
+        if self._highest is None or height > self._highest:
+            self._highest = height
+        elif self._highest - height > self._approach_travel:
+            self._begin()
+
+    def _on_event(self, event: PhaseEvent) -> None:
+        publisher = self._time_publishers.get(event.kind)
+        if publisher is not None and self._start_ns is not None:
+            publisher.publish(scalar_to_message(self._start_ns / _NS_PER_S + event.t))
+        self._tell(self._segmenter.phase)
+
+    def _tell(self, phase: str) -> None:
+        if phase != self._told:
+            self._told = phase
+            self._phase_publisher.publish(text_to_message(phase))
+
+
+def main() -> int:
+    """Run the node."""
+    return run(PhaseSegmenter)

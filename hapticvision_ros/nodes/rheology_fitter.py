@@ -1,0 +1,360 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Fit each trial as soon as it is over, and publish what it tells.
+
+A trial begins at the phase ``approach``, or at ``/rheology_fitter/reset``, from where all is kept,
+and ends at ``done``; ``/rheology_fitter/fit`` ends one that nobody else ends. The numbers are
+those of ``hapticvision fit`` on a bag of the same messages: both run the same code on the same
+bytes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import auto, Enum
+import math
+import queue
+import time
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from hapticvision_ros.bag.contract import (
+    C1,
+    C2,
+    FIT,
+    K1,
+    PHASE,
+    POINTS,
+    RESET,
+    RHEOLOGY_RESULT,
+    TOOL_HEIGHT,
+    TOPICS,
+    WRENCH,
+)
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
+from hapticvision_ros.core.records import Estimate
+from hapticvision_ros.nodes.clock import MessageClock, Nanoseconds
+from hapticvision_ros.nodes.conversions import scalar_to_message, status_to_message
+from hapticvision_ros.nodes.intake import Intake
+from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.qos import create_publisher, create_service
+from hapticvision_ros.nodes.runtime import CellNode, run
+from hapticvision_ros.nodes.trial_buffer import TrialBuffer
+from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+NAME: Final = 'rheology_fitter'
+
+PARAMETERS: Final = (
+    ParameterSpec(
+        'displacement_from_points',
+        'bool',
+        '-',
+        'Whether to compute the displacement height from the clouds, where no node publishes it.',
+        read_only=True,
+    ),
+    ParameterSpec(
+        'displacement_source',
+        'string',
+        '-',
+        "What /object/displacement_height is: the object's own, or the tool's while they touch.",
+        choices=('object', 'tool'),
+    ),
+    ParameterSpec(
+        'grace_time',
+        'double',
+        's',
+        'How long after the end of a trial its late messages are waited for.',
+        0.0,
+        10.0,
+    ),
+    ParameterSpec(
+        'quiet_time',
+        'double',
+        's',
+        'A load cell and an arm that are silent for so long send nothing more of the trial.',
+        0.05,
+        10.0,
+    ),
+    ParameterSpec(
+        'memory',
+        'integer',
+        'byte',
+        'Room for the numbers of a trial, and for its clouds.',
+        1 << 20,
+        1 << 34,
+    ),
+    ParameterSpec(
+        'tick_period',
+        'double',
+        's',
+        'Period at which messages are taken.',
+        0.005,
+        0.2,
+        read_only=True,
+    ),
+)
+
+SYMBOLS: Final = (
+    ('relaxation_time', 's'),
+    ('F0', 'N'),
+    ('F_inf', 'N'),
+    ('retardation_time', 's'),
+    ('H0', 'm'),
+    ('H_inf', 'm'),
+    ('K1', 'N/m'),
+    ('C1', 'N.s/m'),
+    ('C2', 'N.s/m'),
+)
+"""Names and units of the estimates, as in `hapticvision_ros.core.fit.paper.PaperResult`."""
+
+_TICKS_BEFORE_A_TRIAL: Final = 1000
+
+
+class _State(Enum):
+    COLLECTING = auto()
+    ENDING = auto()
+    IDLE = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A trial that is over, as it was received."""
+
+    name: str
+    buffer: TrialBuffer
+    times: Mapping[str, Nanoseconds]
+    source: str
+
+
+def result_values(analysis: TrialAnalysis) -> dict[str, str]:
+    """
+    Return all that a trial tells, as the key-value pairs of ``/rheology/result``.
+
+    Parameters
+    ----------
+    analysis : TrialAnalysis
+        Of the trial.
+
+    Returns
+    -------
+    dict of str to str
+        For each estimate ``<symbol>.value``, ``.std`` and ``.unit``, or ``.reason``; the times of
+        the phases [s since the first stamp] and that stamp; each warning.
+
+    """
+    values: dict[str, str] = {}
+    for symbol, unit in SYMBOLS:
+        estimate: Estimate = getattr(analysis.paper, symbol)
+        if estimate.value is not None:
+            values[f'{symbol}.value'] = repr(float(estimate.value))
+            values[f'{symbol}.unit'] = unit
+        if estimate.std is not None and math.isfinite(estimate.std):
+            values[f'{symbol}.std'] = repr(float(estimate.std))
+        if estimate.reason is not None:
+            values[f'{symbol}.reason'] = estimate.reason
+    segmentation = analysis.segmentation
+    values['start_ns'] = str(analysis.trial.start_ns)
+    for name in ('t_contact', 't_hold', 't_release', 't_loss', 't_end'):
+        t = getattr(segmentation, name)
+        if t is not None:
+            values[f'{name}_s'] = repr(float(t))
+    for name, unit in (('push_speed', 'm_s'), ('depth', 'm')):
+        value = getattr(segmentation, name)
+        if value is not None:
+            values[f'{name}_{unit}'] = repr(float(value))
+    for number, warning in enumerate(analysis.warnings, start=1):
+        values[f'warning {number}'] = warning
+    return values
+
+
+def summary(analysis: TrialAnalysis) -> str:
+    """Return the parameters in one line."""
+    parts = []
+    for symbol, unit in (('K1', 'N/m'), ('C1', 'N.s/m'), ('C2', 'N.s/m')):
+        estimate: Estimate = getattr(analysis.paper, symbol)
+        if estimate.value is None:
+            parts.append(f'{symbol} unknown ({estimate.reason})')
+        elif estimate.std is None:
+            parts.append(f'{symbol} = {estimate.value:.4g} {unit}')
+        else:
+            parts.append(f'{symbol} = {estimate.value:.4g} +- {estimate.std:.2g} {unit}')
+    return ', '.join(parts)
+
+
+class RheologyFitter(CellNode):
+    """The node: its timer takes the messages, a thread of its own fits."""
+
+    def __init__(self) -> None:
+        super().__init__(NAME, PARAMETERS)
+        self._clock = MessageClock(self)
+        self._buffer = TrialBuffer(self.parameters.integer('memory'))
+        self._state = _State.COLLECTING
+        # Whether someone has said where the trial begins; else it begins at the approach.
+        self._reset = False
+        self._ended_ns: int | None = None
+        self._heard = time.monotonic()
+        self._trials = 0
+        self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[TrialAnalysis | InputError] = queue.SimpleQueue()
+
+        wanted = self.parameters.flag('displacement_from_points')
+        # The phase first: the samples that come with it are of the trial that it begins.
+        topics = (PHASE, *(t for t in TOPICS if t is not PHASE and (wanted or t is not POINTS)))
+        self._intakes = {topic: Intake.of(self, topic, raw=True) for topic in topics}
+        self._coefficients = {
+            symbol: create_publisher(self, topic)
+            for symbol, topic in (('K1', K1), ('C1', C1), ('C2', C2))
+        }
+        self._result = create_publisher(self, RHEOLOGY_RESULT)
+        create_service(self, FIT, self._on_fit)
+        create_service(self, RESET, self._on_reset)
+        self.create_timer(
+            self.parameters.real('tick_period'),
+            self._on_tick,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self.spawn(self._work, 'fit')
+
+    def close(self) -> None:
+        """Stop, and let go of the trial."""
+        super().close()
+        self._buffer.close()
+
+    def _on_fit(self, request: Any, response: Any) -> Any:
+        """End the trial as if it were done."""
+        self._take()
+        response.success = len(self._buffer) > 0
+        if response.success:
+            self._end(None)
+            response.message = (
+                f'fitting {len(self._buffer)} messages: see {self._result.topic_name}'
+            )
+        else:
+            response.message = 'nothing has been received since the last trial began.'
+        return response
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        """Forget the trial, keep all that comes from now on, answer with the topics heard."""
+        self._take()
+        self._begin()
+        self._reset = True
+        heard = [topic.name for topic, intake in self._intakes.items() if intake.matched]
+        response.success = True
+        response.message = ' '.join(heard)
+        return response
+
+    def _on_tick(self) -> None:
+        self._take()
+        if self._state is _State.ENDING and self._is_complete():
+            self._hand_over()
+        while not self._results.empty():
+            self._publish(self._results.get())
+
+    def _take(self) -> None:
+        """Keep what has come."""
+        for topic, intake in self._intakes.items():
+            for data, sent_ns, _ in intake.take():
+                if topic is PHASE:
+                    self._on_phase(str(deserialize_message(data, String).data), sent_ns)
+                if topic in (WRENCH, TOOL_HEIGHT):
+                    self._heard = time.monotonic()
+                if self._state is not _State.IDLE:
+                    self._buffer.add(topic, data, sent_ns)
+        # After the messages, so that the tick that was sent before each of them is there.
+        self._clock.update()
+
+    def _on_phase(self, phase: str, sent_ns: int) -> None:
+        if phase == 'approach':
+            if not self._reset:
+                self._begin()
+            self._reset = False
+        elif phase == 'done' and self._state is _State.COLLECTING:
+            self._end(sent_ns)
+        elif phase == 'aborted' and self._state is _State.COLLECTING:
+            self._state = _State.IDLE
+
+    def _begin(self) -> None:
+        """Begin a new trial with empty hands."""
+        if self._state is _State.ENDING:
+            self._hand_over()
+        self._buffer.close()
+        self._buffer = TrialBuffer(self.parameters.integer('memory'))
+        self._clock.forget(_TICKS_BEFORE_A_TRIAL)
+        self._state = _State.COLLECTING
+        self._ended_ns = None
+
+    def _end(self, sent_ns: int | None) -> None:
+        self._state = _State.ENDING
+        self._ended_ns = sent_ns
+        self._heard = time.monotonic()
+
+    def _is_complete(self) -> bool:
+        """Return whether nothing of the trial is still on its way."""
+        if time.monotonic() - self._heard > self.parameters.real('quiet_time'):
+            return True
+        if self._ended_ns is None:
+            return False
+        after = self._ended_ns + round(self.parameters.real('grace_time') * 1e9)
+        newest = [self._buffer.newest_sent(topic) for topic in (WRENCH, TOOL_HEIGHT)]
+        return all(sent is not None and sent > after for sent in newest)
+
+    def _hand_over(self) -> None:
+        """Give the trial to the thread that fits."""
+        self._trials += 1
+        times = {name: self._clock.times(sent) for name, sent in self._buffer.sent().items()}
+        source = self.parameters.text('displacement_source')
+        self._jobs.put(_Job(f'trial {self._trials}', self._buffer, times, source))
+        self._buffer = TrialBuffer(self.parameters.integer('memory'))
+        self._state = _State.IDLE
+
+    def _work(self) -> None:
+        """Fit one trial after the other."""
+        while not self.stopping.is_set():
+            try:
+                job = self._jobs.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            try:
+                provenance = {'displacement_source': job.source}
+                self._results.put(analyse(job.buffer.trial(job.name, job.times, provenance)))
+            except InputError as error:
+                self._results.put(error)
+            finally:
+                job.buffer.close()
+
+    def _publish(self, result: TrialAnalysis | InputError) -> None:
+        if isinstance(result, InputError):
+            message = status_to_message('rheology', str(result), {})
+            message.level = DiagnosticStatus.ERROR
+            self.get_logger().error(str(result))
+        else:
+            text = summary(result)
+            known = True
+            for symbol, publisher in self._coefficients.items():
+                estimate: Estimate = getattr(result.paper, symbol)
+                known = known and estimate.known
+                if estimate.value is not None:
+                    publisher.publish(scalar_to_message(estimate.value))
+            message = status_to_message('rheology', text, result_values(result), warning=not known)
+            self.get_logger().info(f'{result.trial.name}: {text}')
+        self._result.publish(message)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(RheologyFitter)

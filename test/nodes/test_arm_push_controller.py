@@ -1,0 +1,187 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The arm push controller as a process, with load cell driver, on the simulated cell."""
+
+import time
+
+from hapticvision_ros.bag.contract import (
+    ENABLE,
+    PHASE,
+    PUSH,
+    PUSH_VELOCITY,
+    STOP,
+    TOOL_HEIGHT,
+    WRENCH,
+)
+from hapticvision_ros.nodes.conversions import contact_force
+import numpy as np
+import pytest
+from std_srvs.srv import SetBool, Trigger
+
+QUICK_PUSH = {
+    'push_speed': 0.01,
+    'depth': 0.004,
+    'hold_time': 0.5,
+    'recover_time': 0.3,
+    'release_speed': 0.03,
+    # Other tests and builds may hold up these processes for some tenths of a second.
+    'stale_time': 1.0,
+}
+BLOCK_HEIGHT = 0.040
+SPRING1_STIFFNESS = 3628.4605
+
+
+@pytest.fixture
+def world(start_world):
+    return start_world('--object', 'spring1')
+
+
+@pytest.fixture
+def load_cell(start_node, world):
+    return start_node('load_cell_driver', {'simulated_world_port': world.port})
+
+
+@pytest.fixture
+def controller(start_node, world, load_cell):
+    return start_node('arm_push_controller', {'simulated_world_port': world.port, **QUICK_PUSH})
+
+
+def texts(messages):
+    return [message.data for message in messages]
+
+
+def start_push(probe, until):
+    assert probe.call(ENABLE, SetBool.Request(data=True)).success
+
+    def started():
+        answer = probe.call(PUSH, Trigger.Request())
+        # The first readings may still be on their way; anything else is final.
+        assert answer.success or 'within the last' in answer.message, answer.message
+        return answer.success
+
+    until(started, 'a start with fresh readings')
+
+
+def test_a_push_goes_through_its_phases_at_the_commanded_speed_and_depth(controller, probe, until):
+    phases = probe.listen(PHASE)
+    wrenches, velocities = probe.listen(WRENCH), probe.listen(PUSH_VELOCITY)
+    tool = probe.listen(TOOL_HEIGHT)
+    start_push(probe, until)
+    until(lambda: 'done' in texts(phases), 'the end of the push', 30.0)
+    assert texts(phases) == ['approach', 'push', 'hold', 'release', 'recover', 'done']
+    assert [round(v, 6) for v in texts(velocities)] == [0.0, 0.01, 0.0, -0.03, 0.0]
+    heights = np.array(texts(tool))
+    forces = np.array([contact_force(message) for message in wrenches])
+    depth = BLOCK_HEIGHT - heights.min()
+    # Touch is noticed 0.2 N (0.055 mm) and two readings late; the tool overshoots by less than
+    # the speed times the lead of 8 ms (0.08 mm), and a loaded machine adds a few milliseconds.
+    assert 0.004 <= depth < 0.0044
+    zero = np.median(forces[:200])
+    # A spring holds its force; noise of 0.03 N on the largest of some thousand readings.
+    assert forces.max() - zero == pytest.approx(SPRING1_STIFFNESS * depth, abs=0.15)
+    assert heights[-1] == pytest.approx(BLOCK_HEIGHT + 0.020, abs=0.001)
+
+
+def test_a_start_is_refused_until_motion_is_allowed(controller, probe):
+    answer = probe.call(PUSH, Trigger.Request())
+    assert not answer.success
+    assert 'Motion is forbidden' in answer.message
+
+
+def test_a_start_without_a_force_is_refused(start_node, world, probe):
+    start_node('arm_push_controller', {'simulated_world_port': world.port, **QUICK_PUSH})
+    assert probe.call(ENABLE, SetBool.Request(data=True)).success
+    answer = probe.call(PUSH, Trigger.Request())
+    assert not answer.success
+    assert 'No force' in answer.message
+
+
+def test_a_goal_beyond_the_limits_is_refused(controller, probe, until):
+    wrenches = probe.listen(WRENCH)
+    until(lambda: wrenches, 'a force')
+    assert probe.call(ENABLE, SetBool.Request(data=True)).success
+    (result,) = probe.set_parameters('arm_push_controller', {'depth': 0.4})
+    assert result.successful, result.reason
+
+    def refused():
+        answer = probe.call(PUSH, Trigger.Request())
+        assert not answer.success
+        return 'The depth is 400 mm' in answer.message
+
+    until(refused, 'the refusal')
+
+
+@pytest.mark.parametrize('how', ['stop', 'disable'])
+def test_a_stopped_push_retracts_and_ends_as_aborted(controller, probe, until, how):
+    phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    until(lambda: tool, 'the tool height')
+    start = tool[-1].data
+    start_push(probe, until)
+    until(lambda: 'hold' in texts(phases), 'the hold')
+    refused = probe.call(PUSH, Trigger.Request())
+    assert not refused.success and 'already' in refused.message
+    (result,) = probe.set_parameters('arm_push_controller', {'depth': 0.002})
+    assert not result.successful and 'A push is running' in result.reason
+    began = time.monotonic()
+    if how == 'stop':
+        answer = probe.call(STOP, Trigger.Request())
+    else:
+        answer = probe.call(ENABLE, SetBool.Request(data=False))
+    assert answer.success
+    # A service never waits for the motion, which takes more than a second here.
+    assert time.monotonic() - began < 1.0
+    until(lambda: texts(phases)[-1] == 'aborted', 'the abort')
+    # Back where it came from, within the braking distance.
+    until(lambda: abs(tool[-1].data - start) < 0.002, 'the retraction')
+
+
+def test_a_lost_load_cell_aborts_the_push_and_retracts_the_tool(
+    controller, load_cell, probe, until
+):
+    phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+    until(lambda: tool, 'the tool height')
+    start = tool[-1].data
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    start_push(probe, until)
+    until(lambda: 'hold' in texts(phases), 'the hold')
+    load_cell.stop()
+    until(lambda: texts(phases)[-1] == 'aborted', 'the abort')
+    until(lambda: abs(tool[-1].data - start) < 0.002, 'the retraction')
+    until(lambda: 'The contact force is missing' in controller.output, 'the reason')
+
+
+def test_too_large_a_force_aborts_the_push(start_node, world, load_cell, probe, until):
+    start_node(
+        'arm_push_controller',
+        {'simulated_world_port': world.port, **QUICK_PUSH, 'max_force': 5.0},
+    )
+    phases, wrenches = probe.listen(PHASE), probe.listen(WRENCH)
+    start_push(probe, until)
+    until(lambda: texts(phases) and texts(phases)[-1] == 'aborted', 'the abort')
+    # 36 N/s at this speed: the loop of 4 ms and some tens of milliseconds on a loaded machine.
+    assert max(contact_force(message) for message in wrenches) < 8.0
+
+
+def test_a_stopped_controller_stops_the_arm_and_says_so(controller, probe, until):
+    phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+    start_push(probe, until)
+    until(lambda: 'push' in texts(phases), 'the push')
+    assert controller.stop() == 0
+    until(lambda: texts(phases)[-1] == 'aborted', 'the last words')
+    assert tool[-1].data > BLOCK_HEIGHT - QUICK_PUSH['depth'] - 0.001
+    assert 'Traceback' not in controller.output
