@@ -22,9 +22,9 @@ The response of the whole chain of elements to a measured tool motion, with its 
                     +-- K_0 --+-- K1 --+--+-- K_i --+-- flow unit --+
                               +-- C1 --+  +-- C_i --+   (i = 1..n)
 
-The elements in a row carry one force, the chain force F_c. The flow unit is the dashpot C2, which a
-Saint-Venant slider of threshold F_y (Bingham) or a power law of index n changes; K1 grows with its
-stretch (beta) and is lost with the largest stretch so far (D); the force scales with the
+The elements in a row carry one force, the chain force F_c. The flow unit is the dashpot C2, which
+a Saint-Venant slider of threshold F_y (Bingham) or a power law of index n changes; K1 grows with
+its stretch (beta) and is lost with the largest stretch so far (D); the force scales with the
 penetration (m). With every effect at its zero strength this is the three-element model of the
 paper, eqs. (1)-(3).
 
@@ -42,8 +42,8 @@ continuous and differentiable function of the contact offset.
 
 References
 ----------
-J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., 1980, ch. 1 (units in series); M. Reiner,
-Deformation, Strain and Flow, 1960 (Bingham); E. Hairer and G. Wanner, Solving Ordinary
+J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., 1980, ch. 1 (units in series); M.
+Reiner, Deformation, Strain and Flow, 1960 (Bingham); E. Hairer and G. Wanner, Solving Ordinary
 Differential Equations II, 2nd ed., 1996, IV.8 (implicit mid-point), and W. Liniger and R. A.
 Willoughby, SIAM J. Numer. Anal. 7, 1970, 47-66, doi:10.1137/0707002 (exponential fitting).
 
@@ -53,10 +53,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from hapticvision_ros.core.records import FloatArray
 from numba import njit
 import numpy as np
-
-from hapticvision_ros.core.records import FloatArray
 
 REFERENCE_RATE: Final = 1e-3
 """Rate [m/s] at which a power-law dashpot has the viscosity C2: 1 mm/s, a usual push."""
@@ -93,6 +92,8 @@ class Slot(IntEnum):
     """Pull-off force F_ad [N]."""
     OFFSET = 13
     """How much deeper the tool is than its measured displacement [m]."""
+    MASS = 14
+    """M, which moves with the surface [kg]."""
 
 
 def neutral() -> FloatArray:
@@ -101,7 +102,7 @@ def neutral() -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (14,)
+    ndarray, shape (15,)
         Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
 
     """
@@ -117,7 +118,7 @@ class Chain:
 
     Parameters
     ----------
-    slots : ndarray, shape (14,)
+    slots : ndarray, shape (15,)
         One number for each `Slot`.
     unit_stiffness, unit_viscosity : ndarray, shape (n,)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
@@ -225,7 +226,7 @@ _SMALLEST = 1e-16
 _MOST_ITERATIONS = 60
 
 
-@njit(cache=True, inline='always')  # type: ignore[misc]
+@njit(cache=True, inline='always')
 def _memory_weight(x):  # type: ignore[no-untyped-def]
     """Return x / (1 - exp(-x)) and its derivative."""
     if x < 0.3:
@@ -238,7 +239,7 @@ def _memory_weight(x):  # type: ignore[no-untyped-def]
     return x / m, (m - x * e) / (m * m)
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _end_weight(s):  # type: ignore[no-untyped-def]
     """Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative."""
     if s < 1e-2:
@@ -250,7 +251,7 @@ def _end_weight(s):  # type: ignore[no-untyped-def]
     return m / denominator, (dm * denominator - m * d_denominator) / denominator**2
 
 
-@njit(cache=True, inline='always')  # type: ignore[misc]
+@njit(cache=True, inline='always')
 def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore[no-untyped-def]
     """Return mean force, its slope in u, stiffness, its slope in z, weight, its slope, middle."""
     middle = z + 0.5 * u
@@ -270,7 +271,7 @@ def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore
     return k * (z + u), k + 0.5 * dk * (z + u), k, dk, 0.0, 0.0, middle
 
 
-@njit(cache=True, inline='always')  # type: ignore[misc]
+@njit(cache=True, inline='always')
 def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
     """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
     if f_y == 0.0 and p == 1.0:
@@ -289,8 +290,8 @@ def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
     return rate, slope, excess
 
 
-@njit(cache=True)  # type: ignore[misc]
-def _respond(  # type: ignore[no-untyped-def]  # noqa: C901
+@njit(cache=True)
+def _respond(  # type: ignore[no-untyped-def]
     t, d, q, ku, cu, dq, dku, dcu, force, surface, d_force, d_surface
 ):
     steps = t.size - 1

@@ -1,0 +1,333 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Models: the three-element chain with any set of effects, and what it predicts for a trial.
+
+A model has p parameters, which all trials of a campaign share: K1, C1 and C2, then those of its
+effects in the order of the registry. A trial adds q parameters of its own, which nobody asks for:
+the onset, which is how much deeper the tool is than the detected contact says, then those that an
+effect declares. The fit works with the vector theta, in which parameters that have a scale
+(`EffectParameter.log`) stand with their logarithm.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+import math
+from typing import Final
+
+from hapticvision_ros.core.effects import BY_ID, EFFECTS
+from hapticvision_ros.core.effects.declaration import (
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+    Prediction,
+    Scale,
+)
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+BASE: Final = 'three-element'
+"""Name of the model without effects."""
+
+BASE_PARAMETERS: Final = (
+    EffectParameter(
+        'K1', 'N/m', 'elastic coefficient', 1e-3, 1e9, lambda s: s.K1, neutral=math.nan, log=True
+    ),
+    EffectParameter(
+        'C1',
+        'N.s/m',
+        'viscosity of the bouncing part',
+        1e-6,
+        1e12,
+        lambda s: s.C1,
+        neutral=math.nan,
+        log=True,
+    ),
+    EffectParameter(
+        'C2',
+        'N.s/m',
+        'viscosity of the residual part',
+        1e-6,
+        1e12,
+        lambda s: s.C2,
+        neutral=math.nan,
+        log=True,
+    ),
+)
+
+ONSET: Final = EffectParameter(
+    'onset',
+    'm',
+    'how much deeper the tool is in this trial than the detected contact says',
+    -math.inf,
+    math.inf,
+    lambda scale: 0.0,
+)
+
+_COMPLEX_STEP = 1e-30
+
+
+@dataclass(frozen=True)
+class Model:
+    """
+    The three-element chain with a set of effects.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Names of effects; kept in the order of the registry.
+
+    Raises
+    ------
+    UsageError
+        If there is no such effect, one is named twice, or two have no common meaning.
+
+    """
+
+    effects: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.effects:
+            if name not in BY_ID:
+                raise UsageError(f'there is no effect {name!r}: choose among {", ".join(BY_ID)}')
+            if self.effects.count(name) > 1:
+                raise UsageError(f'the effect {name!r} is named twice: name it once')
+            for other in BY_ID[name].excludes:
+                if other in self.effects:
+                    raise UsageError(
+                        f'{name!r} and {other!r} both take the place of the dashpot C2: '
+                        f'choose one of them'
+                    )
+        ordered = tuple(effect.id for effect in EFFECTS if effect.id in self.effects)
+        object.__setattr__(self, 'effects', ordered)
+
+    @classmethod
+    def parse(cls, name: str) -> 'Model':
+        """
+        Return the model of a name such as `three-element+yield_force`.
+
+        Raises
+        ------
+        UsageError
+            If there is no such model.
+
+        """
+        base, *effects = name.split('+')
+        if base != BASE:
+            raise UsageError(f'there is no model {name!r}: write {BASE} or {BASE}+EFFECT+EFFECT')
+        return cls(tuple(effects))
+
+    @property
+    def name(self) -> str:
+        """Return its name in results."""
+        return '+'.join((BASE, *self.effects))
+
+    @cached_property
+    def declared(self) -> tuple[Effect, ...]:
+        """Return the declarations of its effects."""
+        return tuple(BY_ID[name] for name in self.effects)
+
+    @cached_property
+    def parameters(self) -> tuple[EffectParameter, ...]:
+        """Return the declarations of its p parameters."""
+        return BASE_PARAMETERS + tuple(p for effect in self.declared for p in effect.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Return the p names: symbols, told apart as `effect.symbol` where two are alike."""
+        owned = [(BASE, p.symbol) for p in BASE_PARAMETERS]
+        owned += [(e.id, p.symbol) for e in self.declared for p in e.parameters]
+        symbols = [symbol for _, symbol in owned]
+        return tuple(
+            symbol if symbols.count(symbol) == 1 else f'{owner}.{symbol}'
+            for owner, symbol in owned
+        )
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Return the p SI units."""
+        return tuple(p.unit for p in self.parameters)
+
+    @cached_property
+    def log(self) -> tuple[bool, ...]:
+        """Return which of the p entries of theta are logarithms."""
+        return tuple(p.log for p in self.parameters)
+
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the greatest theta; shapes (p,)."""
+        return (
+            self.theta([p.lower for p in self.parameters]),
+            self.theta([p.upper for p in self.parameters]),
+        )
+
+    @cached_property
+    def trial_parameters(self) -> tuple[EffectParameter, ...]:
+        """Return the declarations of the q parameters of a trial: the onset, then the effects'."""
+        return (ONSET, *(p for effect in self.declared for p in effect.trial_parameters))
+
+    @cached_property
+    def trial_names(self) -> tuple[str, ...]:
+        """Return the q names of a trial's own parameters."""
+        return tuple(p.symbol for p in self.trial_parameters)
+
+    def first_guess(self, scale: Scale) -> FloatArray:
+        """Return a start for the fit, theta of shape (p,), within the bounds."""
+        start = [p.guess(scale) for p in self.parameters]
+        return np.clip(self.theta(start), *self.bounds)
+
+    def theta(self, values: Sequence[float] | FloatArray) -> FloatArray:
+        """Return the vector of the fit for parameters in SI units; shape (p,)."""
+        given = np.array(values, dtype=np.float64)
+        logarithms = np.full(given.size, -np.inf)
+        np.log(given, out=logarithms, where=np.array(self.log) & (given > 0.0))
+        return np.where(self.log, logarithms, given)
+
+    def values(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters in SI units; shape (p,)."""
+        return np.where(self.log, np.exp(np.where(self.log, theta, 0.0)), theta)
+
+    def predict(
+        self,
+        trial: DrivenTrial,
+        theta: FloatArray,
+        trial_values: Sequence[float] | FloatArray | None = None,
+        *,
+        directions: bool = True,
+    ) -> Prediction:
+        """
+        Return what the sensors report of a trial.
+
+        Parameters
+        ----------
+        trial : DrivenTrial
+            What the tool did, and when the sensors look.
+        theta : ndarray, shape (p,)
+            The parameters, as the fit sees them.
+        trial_values : sequence of float, length q, optional
+            The trial's own parameters; zeros by default.
+        directions : bool, default True
+            Whether to give the derivatives, in theta and in the trial's own parameters.
+
+        Returns
+        -------
+        Prediction
+            Force, height and their derivatives.
+
+        """
+        p, q = len(self.parameters), len(self.trial_parameters)
+        values = np.zeros(p + q)
+        values[:p] = self.values(theta)
+        if trial_values is not None:
+            values[p:] = trial_values
+        rows = self._rows_of_the_chain if directions else ()
+        chain, tangents = self._chains(trial, values, rows)
+        response = respond(trial.t, trial.displacement, chain, tangents)
+        d_force, d_surface = response.force_tangent, response.surface_tangent
+        if directions and len(rows) < p + q:
+            d_force = np.zeros((p + q, response.force.size))
+            d_surface = np.zeros((p + q, response.surface.size))
+            d_force[list(rows)] = response.force_tangent
+            d_surface[list(rows)] = response.surface_tangent
+        prediction = Prediction(
+            force=response.force,
+            height=np.empty(trial.height_t.size),
+            d_force=d_force,
+            d_height=np.empty((d_surface.shape[0], trial.height_t.size)),
+            surface=response.surface,
+            d_surface=d_surface,
+        )
+        prediction.look(trial.t, trial.height_t)
+        for effect, own in zip(self.declared, self._owned, strict=True):
+            if effect.observe is not None:
+                effect.observe(
+                    trial,
+                    [float(values[i]) for i in own],
+                    prediction,
+                    own if directions else (),
+                )
+        if directions:
+            for row, log in enumerate(self.log):
+                if log:
+                    scale = values[row] if np.isfinite(values[row]) else 0.0
+                    prediction.d_force[row] *= scale
+                    prediction.d_height[row] *= scale
+                    prediction.d_surface[row] *= scale
+        return prediction
+
+    @cached_property
+    def _owned(self) -> tuple[tuple[int, ...], ...]:
+        """Return, for each effect, where its parameters and its trial parameters stand."""
+        shared = iter(range(len(BASE_PARAMETERS), len(self.parameters)))
+        own = iter(range(len(self.parameters) + 1, len(self.parameters) + len(self.trial_names)))
+        return tuple(
+            (*islice(shared, len(e.parameters)), *islice(own, len(e.trial_parameters)))
+            for e in self.declared
+        )
+
+    @cached_property
+    def _rows_of_the_chain(self) -> tuple[int, ...]:
+        """Return the parameters that the chain depends on, among all p + q."""
+        rows = [*range(len(BASE_PARAMETERS))]
+        for effect, own in zip(self.declared, self._owned, strict=True):
+            if effect.shape is not None:
+                rows += own
+        return (*rows, len(self.parameters))
+
+    def _draft(self, trial: DrivenTrial, values: Sequence[complex]) -> Draft:
+        """Return the chain for all p + q values."""
+        draft = Draft(neutral().astype(np.complex128))
+        draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
+        draft.slots[Slot.REFERENCE_DEPTH] = trial.reference_depth
+        draft.slots[Slot.OFFSET] = values[len(self.parameters)]
+        for effect, own in zip(self.declared, self._owned, strict=True):
+            if effect.shape is not None:
+                effect.shape(draft, [values[i] for i in own], trial)
+        return draft
+
+    def _chains(
+        self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
+    ) -> tuple[Chain, tuple[Chain, ...]]:
+        """Return the chain, and how its numbers change with the values of some rows."""
+        given: list[complex] = [complex(value) for value in values]
+        draft = self._draft(trial, given)
+        # A unit that is infinitely stiff is none.
+        kept = [i for i, (stiffness, _) in enumerate(draft.units) if math.isfinite(stiffness.real)]
+        chain = _numbers(draft, kept)
+        tangents = []
+        for row in rows:
+            value = values[row]
+            if not math.isfinite(value):
+                zeros = np.zeros(len(kept))
+                tangents.append(Chain(np.zeros(len(Slot)), zeros, zeros))
+                continue
+            step = _COMPLEX_STEP * (abs(value) or 1.0)
+            given[row] = complex(value, step)
+            tangents.append(_numbers(self._draft(trial, given), kept, step))
+            given[row] = complex(value)
+        return chain, tuple(tangents)
+
+
+def _numbers(draft: Draft, kept: Sequence[int], step: float | None = None) -> Chain:
+    """Return the numbers of a draft, or their derivatives by a complex step."""
+    units = np.array([draft.units[i] for i in kept], dtype=np.complex128).reshape(-1, 2).T
+    if step is None:
+        return Chain(draft.slots.real.copy(), units[0].real.copy(), units[1].real.copy())
+    return Chain(draft.slots.imag / step, units[0].imag / step, units[1].imag / step)

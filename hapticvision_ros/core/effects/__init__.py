@@ -1,0 +1,73 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The effects that a model can be composed of: one effect, one file.
+
+An effect is added by its file and by its line in `EFFECTS`. The order of the tuple is that in
+which the effects act: object, cell, then from the load cell's mechanics to its output.
+"""
+
+from typing import Final
+
+from hapticvision_ros.core.effects import (
+    adhesion,
+    ageing,
+    clock_offset,
+    contact_growth,
+    contact_offset,
+    damage,
+    force_drift,
+    force_lag,
+    friction,
+    height_bias,
+    inertia,
+    machine_compliance,
+    parallel_spring,
+    periodic_disturbance,
+    second_retardation,
+    series_spring,
+    shear_thinning,
+    springpot,
+    strain_stiffening,
+    yield_force,
+)
+from hapticvision_ros.core.effects.declaration import Effect
+
+EFFECTS: Final[tuple[Effect, ...]] = (
+    yield_force.EFFECT,
+    series_spring.EFFECT,
+    parallel_spring.EFFECT,
+    second_retardation.EFFECT,
+    springpot.EFFECT,
+    strain_stiffening.EFFECT,
+    shear_thinning.EFFECT,
+    contact_growth.EFFECT,
+    damage.EFFECT,
+    ageing.EFFECT,
+    adhesion.EFFECT,
+    inertia.EFFECT,
+    machine_compliance.EFFECT,
+    contact_offset.EFFECT,
+    friction.EFFECT,
+    force_drift.EFFECT,
+    force_lag.EFFECT,
+    clock_offset.EFFECT,
+    height_bias.EFFECT,
+    periodic_disturbance.EFFECT,
+)
+"""All effects, in the order of the contract."""
+
+BY_ID: Final = {effect.id: effect for effect in EFFECTS}
+"""The effects by their name in results."""

@@ -1,0 +1,52 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The object holds the tool back on withdrawal."""
+
+from collections.abc import Sequence
+import math
+
+from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.models.chain import Slot
+
+
+def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    draft.add(Slot.ADHESION, values[0])
+
+
+EFFECT = Effect(
+    id='adhesion',
+    title='Adhesion',
+    kind='object',
+    sketch="""
+    contact ends where F < -F_ad, instead of where F < 0
+    """,
+    parameters=(
+        EffectParameter(
+            'F_ad',
+            'N',
+            'pull-off force',
+            0.0,
+            math.inf,
+            lambda scale: 0.02 * scale.force,
+        ),
+    ),
+    validity='A pull-off force that depends neither on the speed nor on the time in contact.',
+    signature='The force is negative for a while when the tool withdraws.',
+    source=(
+        'K. L. Johnson, K. Kendall and A. D. Roberts, Proc. R. Soc. A 324, 1971, 301-313, '
+        'doi:10.1098/rspa.1971.0141 (pull-off force).'
+    ),
+    shape=_shape,
+)

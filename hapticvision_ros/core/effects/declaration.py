@@ -1,0 +1,294 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What an effect declares: its parameters, its term in the chain or in a sensor, and its source.
+
+An effect of the object or of the cell edits the draft of the chain (`shape`), with arithmetic
+that also holds for complex numbers: the model takes its derivatives by the complex step, which is
+exact, so no derivative is declared. An effect of a sensor edits the prediction (`observe`)
+together with its tangents, and fills those of its own parameters.
+
+References
+----------
+W. Squire and G. Trapp, SIAM Rev. 40, 1998, 110-112, doi:10.1137/S003614459631241X (complex step).
+
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from hapticvision_ros.core.models.chain import neutral, Slot
+from hapticvision_ros.core.models.sampling import sample
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+from numpy.typing import NDArray
+
+type ComplexArray = NDArray[np.complex128]
+
+
+class DrivenTrial(Protocol):
+    """What a prediction has to know about a trial; no measured force or height is among it."""
+
+    @property
+    def t(self) -> FloatArray:
+        """Return the ends of the n steps with a mean force each; shape (n + 1,) [s]."""
+        ...
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Return the cleaned tool displacement beyond the touch at `t`; shape (n + 1,) [m]."""
+        ...
+
+    @property
+    def height_t(self) -> FloatArray:
+        """Return the increasing stamps of the samples of the height; shape (m,) [s]."""
+        ...
+
+    @property
+    def campaign_time(self) -> float:
+        """Return when the trial starts, from the start of the campaign [s]."""
+        ...
+
+    @property
+    def reference_depth(self) -> float:
+        """Return the depth of the deepest push of the campaign, d_ref [m]."""
+        ...
+
+    @property
+    def zero_time(self) -> float:
+        """Return the mean time of the samples that gave the force zero, on the axis of `t` [s]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """
+    What a campaign looks like at first sight; what the first guesses are made from.
+
+    Parameters
+    ----------
+    K1, C1, C2 : float
+        The three elements as the paper's method or the identity finds them [N/m, N.s/m].
+    force : float
+        Largest force [N].
+    depth : float
+        Deepest push [m].
+    push_speed : float
+        Usual speed of a push [m/s].
+    contact_time : float
+        Usual duration of the contact in a trial [s].
+    sampling_interval : float
+        Usual interval between two force samples [s].
+    campaign_time : float
+        From the start of the first trial to that of the last [s].
+    disturbance_amplitude, disturbance_frequency : float
+        The strongest line in the spectrum of the force's noise [N, Hz].
+
+    """
+
+    K1: float
+    C1: float
+    C2: float
+    force: float
+    depth: float
+    push_speed: float
+    contact_time: float
+    sampling_interval: float
+    campaign_time: float = 0.0
+    disturbance_amplitude: float = 0.0
+    disturbance_frequency: float = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """
+    One parameter of a model.
+
+    Parameters
+    ----------
+    symbol : str
+        Its name in results.
+    unit : str
+        Its SI unit; '-' for none, and '1/h' for a rate of the campaign.
+    meaning : str
+        What it is, in a few words.
+    lower, upper : float
+        Its range.
+    guess : callable of Scale to float
+        A start for the fit, within the range.
+    neutral : float
+        The value at which it has no effect; infinite for a stiffness in series, and not a number
+        where the effect is absent by another parameter of it.
+    log : bool
+        Whether the fit works with its logarithm. So it does for what has a scale and cannot be
+        zero; a strength, which is zero where the effect is absent, stays linear, so that an
+        interval can reach zero.
+
+    """
+
+    symbol: str
+    unit: str
+    meaning: str
+    lower: float
+    upper: float
+    guess: Callable[[Scale], float]
+    neutral: float = 0.0
+    log: bool = False
+
+
+@dataclass(slots=True)
+class Draft:
+    """
+    A chain in the making, whose numbers may be complex.
+
+    Parameters
+    ----------
+    slots : ndarray of complex, shape (len(Slot),)
+        One number for each `Slot`.
+    units : list of (complex, complex)
+        K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
+
+    """
+
+    slots: ComplexArray = field(default_factory=lambda: neutral().astype(np.complex128))
+    units: list[tuple[complex, complex]] = field(default_factory=list)
+
+    def add(self, slot: Slot, value: complex) -> None:
+        """Add to a slot."""
+        self.slots[slot] += value
+
+    def multiply(self, slot: Slot, factor: complex) -> None:
+        """Multiply a slot."""
+        self.slots[slot] *= factor
+
+
+@dataclass(slots=True)
+class Prediction:
+    """
+    What the sensors report of a trial, and how that depends on the parameters.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,)
+        Mean force over each step [N], without the load cell's zero.
+    height : ndarray, shape (m,)
+        Displacement height at the stamps of its samples [m].
+    d_force : ndarray, shape (p + q, n)
+        Derivatives of `force`: in the p parameters of the model, then in the q of the trial.
+    d_height : ndarray, shape (p + q, m)
+        Derivatives of `height`.
+    surface : ndarray, shape (n + 1,)
+        The true displacement height at the ends of the steps [m].
+    d_surface : ndarray, shape (p + q, n + 1)
+        Derivatives of `surface`.
+
+    Notes
+    -----
+    Derivatives have no rows where none were asked for.
+
+    """
+
+    force: FloatArray
+    height: FloatArray
+    d_force: FloatArray
+    d_height: FloatArray
+    surface: FloatArray
+    d_surface: FloatArray
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether the derivatives were asked for."""
+        return bool(self.d_force.shape[0] > 0)
+
+    def look(self, t: FloatArray, at: FloatArray) -> FloatArray:
+        """
+        Set the height and its derivatives to those of the surface at other times.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n + 1,)
+            Ends of the steps [s].
+        at : ndarray, shape (m,)
+            Increasing times [s].
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Speed of the surface then [m/s].
+
+        """
+        speed = np.empty(at.size)
+        sample(t, self.surface, self.d_surface, at, self.height, self.d_height, speed)
+        return speed
+
+
+type Shape = Callable[[Draft, Sequence[complex], DrivenTrial], None]
+"""(draft, values, trial): put the effect into the chain."""
+
+type Observe = Callable[[DrivenTrial, Sequence[float], Prediction, Sequence[int]], None]
+"""
+(trial, values, prediction, rows): put the effect into the prediction and into all its derivatives,
+and fill the rows of the effect's own parameters, which come in as zeros. `rows` is empty where no
+derivatives were asked for. The values are those of `parameters`, then of `trial_parameters`.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """
+    A deviation from the three-element model that trials may carry.
+
+    Parameters
+    ----------
+    id : str
+        Its name in results.
+    title : str
+        Its name in prose.
+    kind : {'object', 'cell', 'sensor'}
+        Where it sits.
+    sketch : str
+        Its place in the chain, or its equation.
+    parameters : tuple of EffectParameter
+        What it adds to a model; at their neutral values the effect is absent.
+    validity : str
+        Where it holds.
+    signature : str
+        What it leaves in the residual of a fit without it.
+    source : str
+        Where it is described.
+    shape : callable, optional
+        Its term in the chain.
+    observe : callable, optional
+        Its term in the sensors.
+    trial_parameters : tuple of EffectParameter
+        What differs from trial to trial and is of no interest.
+    excludes : tuple of str
+        Effects with which it has no common meaning.
+
+    """
+
+    id: str  # noqa: A003
+    title: str
+    kind: Literal['object', 'cell', 'sensor']
+    sketch: str
+    parameters: tuple[EffectParameter, ...]
+    validity: str
+    signature: str
+    source: str
+    shape: Shape | None = None
+    observe: Observe | None = None
+    trial_parameters: tuple[EffectParameter, ...] = ()
+    excludes: tuple[str, ...] = ()

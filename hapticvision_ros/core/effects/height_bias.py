@@ -1,0 +1,62 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The range sensor's reading shifts while the tool occludes the object."""
+
+from collections.abc import Sequence
+import math
+
+from hapticvision_ros.core.effects.declaration import (
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+    Prediction,
+)
+import numpy as np
+
+
+def _observe(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    hidden = np.interp(trial.height_t, trial.t, trial.displacement) > 0.0
+    prediction.height[hidden] += values[0]
+    if rows:
+        prediction.d_height[rows[0], hidden] += 1.0
+
+
+EFFECT = Effect(
+    id='height_bias',
+    title='Height bias',
+    kind='sensor',
+    sketch="""
+    H_measured = H + b while the tip is below the original surface
+    """,
+    parameters=(
+        EffectParameter(
+            'b',
+            'm',
+            'shift of the height while the tool is in front of the contact point',
+            -math.inf,
+            math.inf,
+            lambda scale: 0.0,
+        ),
+    ),
+    validity='A shift that depends neither on the depth nor on the side of the view.',
+    signature='The height steps at the touch and steps back when the tool is out of the dent.',
+    source=(
+        'H. Sarbolandi, D. Lefloch and A. Kolb, Comput. Vis. Image Underst. 139, 2015, 1-20, '
+        'doi:10.1016/j.cviu.2015.05.006 (occlusion and mixed pixels of range sensors).'
+    ),
+    observe=_observe,
+)

@@ -1,0 +1,56 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Moving mass at the contact."""
+
+from collections.abc import Sequence
+
+from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.models.chain import Slot
+
+
+def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    draft.add(Slot.MASS, values[0])
+
+
+EFFECT = Effect(
+    id='inertia',
+    title='Inertia',
+    kind='object',
+    sketch="""
+    tool ---- M ---- (K1 || C1) ---- C2 ----
+
+    in contact F = F_chain + M d^2H/dt^2;  free M d^2H/dt^2 = -F_chain: a vibration that decays
+    """,
+    parameters=(
+        EffectParameter(
+            'M',
+            'kg',
+            'mass that moves with the contact point',
+            0.0,
+            1e3,
+            lambda scale: 0.1,
+        ),
+    ),
+    validity=(
+        'A mass in one point; the tool is rigid, and a corner of its path is passed within one '
+        'step.'
+    ),
+    signature=(
+        'Spikes in the force where the tool changes its speed, and a vibration of the height '
+        'after the release.'
+    ),
+    source='The paper, eq. (3), and the third property in its section 2.1.',
+    shape=_shape,
+)
