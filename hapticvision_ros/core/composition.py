@@ -29,7 +29,7 @@ from itertools import islice
 import math
 from typing import Final
 
-from hapticvision_ros.core.effects import BY_ID, EFFECTS
+from hapticvision_ros.core.effects import BY_NAME, EFFECTS
 from hapticvision_ros.core.effects.declaration import (
     Draft,
     DrivenTrial,
@@ -105,17 +105,17 @@ class Model:
 
     def __post_init__(self) -> None:
         for name in self.effects:
-            if name not in BY_ID:
-                raise UsageError(f'there is no effect {name!r}: choose among {", ".join(BY_ID)}')
+            if name not in BY_NAME:
+                raise UsageError(f'there is no effect {name!r}: choose among {", ".join(BY_NAME)}')
             if self.effects.count(name) > 1:
                 raise UsageError(f'the effect {name!r} is named twice: name it once')
-            for other in BY_ID[name].excludes:
+            for other in BY_NAME[name].excludes:
                 if other in self.effects:
                     raise UsageError(
                         f'{name!r} and {other!r} both take the place of the dashpot C2: '
                         f'choose one of them'
                     )
-        ordered = tuple(effect.id for effect in EFFECTS if effect.id in self.effects)
+        ordered = tuple(effect.name for effect in EFFECTS if effect.name in self.effects)
         object.__setattr__(self, 'effects', ordered)
 
     @classmethod
@@ -142,7 +142,7 @@ class Model:
     @cached_property
     def declared(self) -> tuple[Effect, ...]:
         """Return the declarations of its effects."""
-        return tuple(BY_ID[name] for name in self.effects)
+        return tuple(BY_NAME[name] for name in self.effects)
 
     @cached_property
     def parameters(self) -> tuple[EffectParameter, ...]:
@@ -153,7 +153,7 @@ class Model:
     def names(self) -> tuple[str, ...]:
         """Return the p names: symbols, told apart as `effect.symbol` where two are alike."""
         owned = [(BASE, p.symbol) for p in BASE_PARAMETERS]
-        owned += [(e.id, p.symbol) for e in self.declared for p in e.parameters]
+        owned += [(e.name, p.symbol) for e in self.declared for p in e.parameters]
         symbols = [symbol for _, symbol in owned]
         return tuple(
             symbol if symbols.count(symbol) == 1 else f'{owner}.{symbol}'

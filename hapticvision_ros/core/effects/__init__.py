@@ -69,5 +69,5 @@ EFFECTS: Final[tuple[Effect, ...]] = (
 )
 """All effects, in the order of the contract."""
 
-BY_ID: Final = {effect.id: effect for effect in EFFECTS}
+BY_NAME: Final = {effect.name: effect for effect in EFFECTS}
 """The effects by their name in results."""

@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='adhesion',
+    name='adhesion',
     title='Adhesion',
     kind='object',
     sketch="""

@@ -36,7 +36,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='ageing',
+    name='ageing',
     title='Ageing',
     kind='object',
     sketch="""

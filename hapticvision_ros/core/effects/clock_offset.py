@@ -33,7 +33,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='clock_offset',
+    name='clock_offset',
     title='Clock offset',
     kind='sensor',
     sketch="""

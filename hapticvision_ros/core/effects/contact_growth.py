@@ -25,7 +25,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='contact_growth',
+    name='contact_growth',
     title='Contact growth',
     kind='object',
     sketch="""

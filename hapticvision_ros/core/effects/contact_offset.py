@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='contact_offset',
+    name='contact_offset',
     title='Contact offset',
     kind='cell',
     sketch="""

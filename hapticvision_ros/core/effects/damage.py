@@ -25,7 +25,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='damage',
+    name='damage',
     title='Damage',
     kind='object',
     sketch="""

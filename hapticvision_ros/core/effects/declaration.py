@@ -208,11 +208,6 @@ class Prediction:
     surface: FloatArray
     d_surface: FloatArray
 
-    @property
-    def differentiated(self) -> bool:
-        """Whether the derivatives were asked for."""
-        return bool(self.d_force.shape[0] > 0)
-
     def look(self, t: FloatArray, at: FloatArray) -> FloatArray:
         """
         Set the height and its derivatives to those of the surface at other times.
@@ -253,7 +248,7 @@ class Effect:
 
     Parameters
     ----------
-    id : str
+    name : str
         Its name in results.
     title : str
         Its name in prose.
@@ -280,7 +275,7 @@ class Effect:
 
     """
 
-    id: str  # noqa: A003
+    name: str
     title: str
     kind: Literal['object', 'cell', 'sensor']
     sketch: str

@@ -35,7 +35,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='force_drift',
+    name='force_drift',
     title='Force drift',
     kind='sensor',
     sketch="""

@@ -32,7 +32,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='force_lag',
+    name='force_lag',
     title='Force lag',
     kind='sensor',
     sketch="""

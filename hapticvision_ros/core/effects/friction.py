@@ -43,7 +43,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='friction',
+    name='friction',
     title='Friction',
     kind='cell',
     sketch="""

@@ -36,7 +36,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='height_bias',
+    name='height_bias',
     title='Height bias',
     kind='sensor',
     sketch="""

@@ -25,7 +25,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='inertia',
+    name='inertia',
     title='Inertia',
     kind='object',
     sketch="""

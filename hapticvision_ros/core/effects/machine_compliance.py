@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='machine_compliance',
+    name='machine_compliance',
     title='Machine compliance',
     kind='cell',
     sketch="""

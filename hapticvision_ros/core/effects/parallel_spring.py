@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='parallel_spring',
+    name='parallel_spring',
     title='Parallel spring',
     kind='object',
     sketch="""

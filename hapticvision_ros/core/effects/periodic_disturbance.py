@@ -47,7 +47,7 @@ def _observe(
 
 
 EFFECT = Effect(
-    id='periodic_disturbance',
+    name='periodic_disturbance',
     title='Periodic disturbance',
     kind='sensor',
     sketch="""

@@ -25,7 +25,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='second_retardation',
+    name='second_retardation',
     title='Second retardation',
     kind='object',
     sketch="""

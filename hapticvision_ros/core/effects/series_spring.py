@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='series_spring',
+    name='series_spring',
     title='Series spring',
     kind='object',
     sketch="""

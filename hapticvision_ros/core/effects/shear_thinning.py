@@ -25,7 +25,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='shear_thinning',
+    name='shear_thinning',
     title='Shear thinning',
     kind='object',
     sketch="""

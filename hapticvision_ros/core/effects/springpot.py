@@ -67,7 +67,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='springpot',
+    name='springpot',
     title='Springpot',
     kind='object',
     sketch="""

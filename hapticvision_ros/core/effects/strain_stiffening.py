@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='strain_stiffening',
+    name='strain_stiffening',
     title='Strain stiffening',
     kind='object',
     sketch="""

@@ -26,7 +26,7 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 
 EFFECT = Effect(
-    id='yield_force',
+    name='yield_force',
     title='Yield force',
     kind='object',
     sketch="""

@@ -218,15 +218,18 @@ _M = int(Slot.CONTACT_EXPONENT)
 _DREF = int(Slot.REFERENCE_DEPTH)
 _FAD = int(Slot.ADHESION)
 _OFF = int(Slot.OFFSET)
+_MASS = int(Slot.MASS)
 
 _TOLERANCE = 1e-7
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
 _SMALLEST = 1e-16
 """Absolute change of u [m] at which it may."""
 _MOST_ITERATIONS = 60
+_SAME = 1e-9
+"""Relative difference between two steps that makes none."""
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, inline='always', error_model='numpy')
 def _memory_weight(x):  # type: ignore[no-untyped-def]
     """Return x / (1 - exp(-x)) and its derivative."""
     if x < 0.3:
@@ -239,19 +242,26 @@ def _memory_weight(x):  # type: ignore[no-untyped-def]
     return x / m, (m - x * e) / (m * m)
 
 
-@njit(cache=True)
-def _end_weight(s):  # type: ignore[no-untyped-def]
-    """Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative."""
-    if s < 1e-2:
-        return 2.0 - s / 3.0, -1.0 / 3.0
-    m = -np.expm1(-s)
-    dm = np.exp(-s)
-    denominator = 1.0 - m / s
-    d_denominator = m / (s * s) - dm / s
-    return m / denominator, (dm * denominator - m * d_denominator) / denominator**2
+@njit(cache=True, error_model='numpy')
+def _end_weight(r):  # type: ignore[no-untyped-def]
+    """
+    Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative.
+
+    It is that of an F which decays with r times the step's length as its time constant: 2 for a
+    slow one (trapezoidal rule), 1 for a fast one (implicit Euler rule).
+    """
+    if r > 100.0:
+        return 2.0 - 1.0 / (3.0 * r), 1.0 / (3.0 * r * r)
+    if r < 1e-3:
+        return 1.0 / (1.0 - r), 1.0 / (1.0 - r) ** 2
+    kept = np.exp(-1.0 / r)
+    gone = -np.expm1(-1.0 / r)
+    left = 1.0 - gone * r
+    d_gone = -kept / (r * r)
+    return gone / left, (d_gone * left + gone * (d_gone * r + gone)) / (left * left)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, inline='always', error_model='numpy')
 def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore[no-untyped-def]
     """Return mean force, its slope in u, stiffness, its slope in z, weight, its slope, middle."""
     middle = z + 0.5 * u
@@ -271,7 +281,7 @@ def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore
     return k * (z + u), k + 0.5 * dk * (z + u), k, dk, 0.0, 0.0, middle
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, inline='always', error_model='numpy')
 def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
     """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
     if f_y == 0.0 and p == 1.0:
@@ -290,7 +300,7 @@ def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
     return rate, slope, excess
 
 
-@njit(cache=True)
+@njit(cache=True, error_model='numpy')
 def _respond(  # type: ignore[no-untyped-def]
     t, d, q, ku, cu, dq, dku, dcu, force, surface, d_force, d_surface
 ):
@@ -305,23 +315,31 @@ def _respond(  # type: ignore[no-untyped-def]
     plain = beta == 0.0 and damage == 0.0
     linear = plain and p == 1.0 and f_y == 0.0 and m == 0.0
     c2_inverse = 1.0 / c2
+    mass = q[_MASS]
+    massive = mass > 0.0
+    for j in range(directions):
+        massive = massive or dq[j, _MASS] != 0.0
 
-    # The compliances relax against the viscosities beside them: with this time constant.
+    # The compliances relax against the viscosities beside them, at the rate fluidity / compliance;
+    # so does the speed of the mass, which without C1 and K_0 the spring K1 holds.
     compliance = c0 + cm
+    stiff = 0.0 if c1 > 0.0 else 1.0
     fluidity = c2_inverse
     if c1 > 0.0:
         fluidity += 1.0 / c1
     for k in range(units):
         fluidity += 1.0 / cu[k]
-    d_ln_time = np.zeros(directions)
-    if compliance > 0.0:
-        for j in range(directions):
-            change = -dq[j, _C2] / (c2 * c2)
-            if c1 > 0.0:
-                change -= dq[j, _C1] / (c1 * c1)
-            for k in range(units):
-                change -= dcu[j, k] / (cu[k] * cu[k])
-            d_ln_time[j] = (dq[j, _C0] + dq[j, _CM]) / compliance - change / fluidity
+    d_fluidity = np.zeros(directions)
+    d_compliance = np.zeros(directions)
+    compliant = compliance > 0.0
+    for j in range(directions):
+        d_fluidity[j] = -dq[j, _C2] / (c2 * c2)
+        if c1 > 0.0:
+            d_fluidity[j] -= dq[j, _C1] / (c1 * c1)
+        for k in range(units):
+            d_fluidity[j] -= dcu[j, k] / (cu[k] * cu[k])
+        d_compliance[j] = dq[j, _C0] + dq[j, _CM]
+        compliant = compliant or d_compliance[j] != 0.0
 
     # State: stretches z (K1), y (flow), zu (units); forces at the step's start of chain and
     # machine; the surface x; the largest stretch so far. Below, a leading d is the tangent.
@@ -331,6 +349,7 @@ def _respond(  # type: ignore[no-untyped-def]
     machine_force = 0.0
     x = 0.0
     z_max = 0.0
+    speed = 0.0
     zu = np.zeros(units)
     left_u = np.zeros(units)
     dz = np.zeros(directions)
@@ -339,6 +358,8 @@ def _respond(  # type: ignore[no-untyped-def]
     d_machine_force = np.zeros(directions)
     dx = np.zeros(directions)
     dz_max = np.zeros(directions)
+    d_speed = np.zeros(directions)
+    d_e = np.zeros(directions)
     dzu = np.zeros((directions, units))
 
     contact = False
@@ -348,16 +369,77 @@ def _respond(  # type: ignore[no-untyped-def]
     w = 1.0
     dw = 0.0
     e = k1
-    kappa = 2.0
+    kappa = 1.0
     d_kappa = 0.0
+    swing = 1.0
+    d_swing = 0.0
+    held = 0.0
     unit_compliance = 0.0
+    # Nothing but the three elements: most trials, most of the time.
+    bare = linear and units == 0 and kp == 0.0 and not compliant and not massive
+    for j in range(directions):
+        bare = bare and dq[j, _KP] == 0.0 and dq[j, _N] == 0.0 and dq[j, _FY] == 0.0
+        bare = bare and dq[j, _M] == 0.0 and dq[j, _BETA] == 0.0 and dq[j, _D] == 0.0
+    bare_h = -1.0
+    bare_inverse = 0.0
+    bare_flow = 0.0
     surface[0] = 0.0
     for j in range(directions):
         d_surface[j, 0] = 0.0
 
-    for i in range(steps):
+    i = -1
+    while i < steps - 1:
+        i += 1
         h = t[i + 1] - t[i]
         d_end = d[i + 1] + offset
+        if bare and not virgin:
+            if abs(h - bare_h) > _SAME * h:
+                bare_h = h
+                h_known = -1.0
+                e = k1
+                w = 0.0
+                dw = 0.0
+                if c1 > 0.0:
+                    w, dw = _memory_weight(k1 * h / c1)
+                    e = c1 / h * w
+                bare_flow = h * c2_inverse
+                bare_inverse = 1.0 / (1.0 + bare_flow * e)
+                for j in range(directions):
+                    d_e[j] = dw * dq[j, _K1]
+                    if c1 > 0.0:
+                        d_e[j] += (w / h - dw * k1 / c1) * dq[j, _C1]
+            if not contact:
+                u = -k1 / e * z
+                if z + u + y >= d_end:
+                    for j in range(directions):
+                        dz[j] -= (dq[j, _K1] * z + k1 * dz[j] + d_e[j] * u) / e
+                        dx[j] = dz[j] + dy[j]
+                        d_force[j, i] = 0.0
+                        d_surface[j, i + 1] = dx[j]
+                    z += u
+                    x = z + y
+                    force[i] = 0.0
+                    surface[i + 1] = x
+                    continue
+            u = (d_end - y - (1.0 + bare_flow * k1) * z) * bare_inverse
+            total = k1 * z + e * u
+            if contact and total >= -f_ad:
+                for j in range(directions):
+                    dfc = dq[j, _K1] * z + k1 * dz[j] + d_e[j] * u
+                    dy[j] -= bare_flow * total * c2_inverse * dq[j, _C2]
+                    du = (dq[j, _OFF] - dz[j] - dy[j] - bare_flow * dfc) * bare_inverse
+                    dfc += e * du
+                    dz[j] += du
+                    dy[j] += bare_flow * dfc
+                    d_force[j, i] = dfc
+                    d_surface[j, i + 1] = dq[j, _OFF]
+                    dx[j] = dq[j, _OFF]
+                z += u
+                y += bare_flow * total
+                x = d_end
+                force[i] = total
+                surface[i + 1] = d_end
+                continue
         if virgin and d_end <= 0.0:
             force[i] = 0.0
             surface[i + 1] = 0.0
@@ -382,7 +464,7 @@ def _respond(  # type: ignore[no-untyped-def]
         # the tool catches up with the free surface.
         while True:
             hs = h * share
-            if hs != h_known:
+            if abs(hs - h_known) > _SAME * hs:
                 if plain:
                     e = k1
                     if c1 > 0.0:
@@ -392,10 +474,16 @@ def _respond(  # type: ignore[no-untyped-def]
                 for k in range(units):
                     left_u[k] = -np.expm1(-ku[k] * hs / cu[k])
                     unit_compliance += left_u[k] / ku[k]
-                if compliance > 0.0:
-                    kappa, d_kappa = _end_weight(hs * fluidity / compliance)
+                if compliant:
+                    kappa, d_kappa = _end_weight(compliance / (hs * fluidity))
+                if massive:
+                    held = c0 + stiff / k1 + hs * fluidity
+                    swing, d_swing = _end_weight(mass * held / (hs * hs))
                 h_known = hs
-            end = kappa if touching else 1.0
+                bare_h = -1.0
+            end = kappa if touching or mass > 0.0 else 1.0
+            inert = swing * mass / (hs * hs)
+            ahead = x + hs * speed
             rest = z + y + (1.0 - end) * c0 * chain_force
             for k in range(units):
                 rest += zu[k] * (1.0 - left_u[k])
@@ -421,8 +509,8 @@ def _respond(  # type: ignore[no-untyped-def]
                     g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
                     g_slope = x_slope + cm * end * total_slope
                 else:
-                    g = total
-                    g_slope = total_slope
+                    g = total + inert * (x_end - ahead)
+                    g_slope = total_slope + inert * x_slope
                 u = -g / g_slope
                 fc += slope * u
                 flow = fc * c2_inverse
@@ -456,12 +544,12 @@ def _respond(  # type: ignore[no-untyped-def]
                     if touching:
                         g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
                         g_slope = x_slope + cm * end * total_slope
-                    elif kp == 0.0:
+                    elif kp == 0.0 and mass == 0.0:
                         g = fc
                         g_slope = slope
                     else:
-                        g = total
-                        g_slope = total_slope
+                        g = total + inert * (x_end - ahead)
+                        g_slope = total_slope + inert * x_slope
                     change = -g / g_slope
                     u += change
                     if abs(change) <= _TOLERANCE * abs(u) + _SMALLEST:
@@ -473,7 +561,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 x_mid = 0.5 * (x + x_end)
                 total += total_slope * change
                 middle += 0.5 * change
-            if touching and total < -f_ad:
+            pull = (d[i + 1] - d[i]) / h
+            thrust = mass * (pull - speed) / hs
+            if touching and total + thrust < -f_ad:
                 touching = False
                 share = 1.0
                 split = False
@@ -522,10 +612,16 @@ def _respond(  # type: ignore[no-untyped-def]
                 if dq[j, _N] != 0.0 and excess > 0.0:
                     d_flow -= flow * np.log(excess / (c2 * REFERENCE_RATE)) * p * p * dq[j, _N]
                 d_end_weight = 0.0
-                if touching and compliance > 0.0:
-                    d_end_weight = (
-                        d_kappa * (hs * fluidity / compliance) * (dhs / hs - d_ln_time[j])
-                    )
+                if compliant and (touching or mass > 0.0):
+                    d_r = d_compliance[j] / (hs * fluidity)
+                    d_r -= compliance / (hs * fluidity) * (d_fluidity[j] / fluidity + dhs / hs)
+                    d_end_weight = d_kappa * d_r
+                d_inert = 0.0
+                d_swing_weight = 0.0
+                if massive and not touching:
+                    d_held = dq[j, _C0] - stiff * dq[j, _K1] / (k1 * k1) + hs * d_fluidity[j]
+                    d_swing_weight = d_swing * (mass * d_held + dq[j, _MASS] * held) / (hs * hs)
+                    d_inert = (d_swing_weight * mass + swing * dq[j, _MASS]) / (hs * hs)
                 d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
                 for k in range(units):
                     inverse_time = ku[k] / cu[k]
@@ -559,10 +655,11 @@ def _respond(  # type: ignore[no-untyped-def]
                             + end * (d_total - d_machine_force[j])
                             + d_end_weight * jump
                         )
-                elif kp == 0.0 and dq[j, _KP] == 0.0:
+                elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive:
                     dg = dfc
                 else:
-                    dg = d_total
+                    dg = d_total + d_inert * (x_end - ahead)
+                    dg += inert * (d_sum - dx[j] - hs * d_speed[j])
                 du = -dg * inverse
                 dfc += slope * du
                 d_total += total_slope * du
@@ -572,15 +669,23 @@ def _respond(  # type: ignore[no-untyped-def]
                     dz_max[j] = dz[j] + 0.5 * du
                 dz[j] += du
                 dy[j] += dhs * flow + hs * (d_flow + fluid * dfc)
+                d_ahead = dx[j] + hs * d_speed[j]
                 dx[j] = d_sum + x_slope * du
-                if touching:
+                if massive and not touching:
+                    d_speed[j] += swing / hs * (dx[j] - d_ahead)
+                    d_speed[j] += d_swing_weight / hs * (x_end - ahead)
+                if touching or mass > 0.0:
                     d_chain_force[j] += end * (dfc - d_chain_force[j])
                     d_chain_force[j] += d_end_weight * (fc - chain_force)
+                else:
+                    d_chain_force[j] = dfc
+                if touching:
                     d_machine_force[j] += end * (d_total - d_machine_force[j])
                     d_machine_force[j] += d_end_weight * (total - machine_force)
                     d_force[j, i] = d_total * share + total * dhs / h
+                    d_force[j, i] += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
+                    d_speed[j] = 0.0
                 else:
-                    d_chain_force[j] = dfc
                     d_machine_force[j] = 0.0
                     d_force[j, i] = 0.0
                 d_surface[j, i + 1] = dx[j]
@@ -592,13 +697,17 @@ def _respond(  # type: ignore[no-untyped-def]
         z += u
         y += hs * flow
         rate = u / hs
-        if touching:
+        if touching or mass > 0.0:
             chain_force += end * (fc - chain_force)
-            machine_force += end * (total - machine_force)
-            force[i] = total * share
         else:
             chain_force = fc
+        if touching:
+            machine_force += end * (total - machine_force)
+            force[i] = (total + thrust) * share
+            speed = pull
+        else:
             machine_force = 0.0
             force[i] = 0.0
+            speed += swing / hs * (x_end - ahead)
         x = x_end
         surface[i + 1] = x_end
