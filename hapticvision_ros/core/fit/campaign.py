@@ -1,0 +1,857 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+One set of parameters for all trials of a campaign, from their whole force and height at once.
+
+Least squares of the measured minus the predicted force and displacement height, made white by the
+sensors' noise, whose level and memory are estimated from the residual in a loop with the fit. The
+parameters of the model are shared; each trial adds its own: how much deeper the tool is than the
+detected contact says (known to within the precision of the detection), the parameters that an
+effect declares for a trial, and the zeros of both sensors.
+
+References
+----------
+A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989 (whitening);
+H. D. Patterson and R. Thompson, Biometrika 58, 1971, 545-554, doi:10.1093/biomet/58.3.545 (noise).
+
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from types import MappingProxyType
+from typing import Final, Protocol
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.effects.declaration import Prediction, Scale
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.fit.data import FitTrial, prepare, suspects
+from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
+from hapticvision_ros.core.fit.least_squares import minimise, Solution
+from hapticvision_ros.core.fit.noise_model import (
+    Blocks,
+    estimate,
+    Record,
+    SensorNoise,
+    Whitener,
+    whitener,
+)
+from hapticvision_ros.core.fit.start import identify
+from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
+import numpy as np
+
+_ROUNDS: Final = 4
+"""Most rounds of noise and parameters."""
+_SETTLED: Final = 0.03
+"""Relative change of the noise at which a further round is not worth it."""
+_UNTOLD: Final = 0.7
+"""Standard error of a logarithm from which on a parameter is not told: a factor of two."""
+_OUTLYING: Final = 6.0
+"""Residual, in standard deviations of a sample, from which on a sample is looked at."""
+_SMALLEST_GLITCH: Final = 1e-3
+"""No residual below this share of the largest force is one."""
+_LOUD: Final = 1.5
+"""Residual over the noise before contact from which on a reader is told."""
+_FULL_RATE: Final = frozenset({'periodic_disturbance'})
+"""Effects that live within the steps that a trial is averaged over."""
+
+
+class Analysed(Protocol):
+    """A trial with its phases, as `hapticvision_ros.core.pipeline.analyse` returns it."""
+
+    @property
+    def trial(self) -> Trial:
+        """Return what was measured."""
+        ...
+
+    @property
+    def segmentation(self) -> Segmentation:
+        """Return its phases."""
+        ...
+
+
+type Segmented = Analysed | tuple[Trial, Segmentation]
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignNoise:
+    """
+    The noise of a campaign.
+
+    Parameters
+    ----------
+    force, height : SensorNoise
+        What the residual of the fit tells of one sample of force [N] and height [m].
+    force_before_contact, height_before_contact : float or None
+        Standard deviation of a sample before contact, where the model cannot be wrong.
+
+    """
+
+    force: SensorNoise
+    height: SensorNoise
+    force_before_contact: float | None
+    height_before_contact: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFit:
+    """
+    One trial beside what the model says of it, sample by sample.
+
+    Parameters
+    ----------
+    name : str
+        The trial's name.
+    force, height : Signal
+        Measured force [N] and displacement height [m], without the zeros that the fit has found;
+        samples set aside, and those within a sample of a jump of the force, are left out.
+    force_fitted, height_fitted : ndarray
+        The model's at the same times.
+    values : mapping of str to Estimate
+        The trial's own parameters.
+    set_aside : ndarray
+        Times of force samples that were not used [s].
+
+    """
+
+    name: str
+    force: Signal
+    force_fitted: FloatArray
+    height: Signal
+    height_fitted: FloatArray
+    values: Mapping[str, Estimate]
+    set_aside: FloatArray
+
+    @property
+    def force_rmse(self) -> float:
+        """Return the root mean square of measured minus fitted force [N]."""
+        return _rms(self.force.value - self.force_fitted)
+
+    @property
+    def height_rmse(self) -> float | None:
+        """Return the same of the height [m]; None without any."""
+        return _rms(self.height.value - self.height_fitted) if len(self.height) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """
+    A model fitted to a campaign.
+
+    Parameters
+    ----------
+    model : Model
+        What was fitted.
+    parameters : mapping of str to Estimate
+        The p shared parameters, in SI units; unknown with a reason where the trials cannot tell.
+    theta : ndarray, shape (p,)
+        The same as the search sees them, known or not.
+    covariance : ndarray, shape (p, p)
+        Of `theta`; infinite where nothing is told.
+    trials : tuple of (TrialFit or None)
+        One for each trial; None where it could not be used.
+    noise : CampaignNoise
+        Of the sensors.
+    cost : float
+        Sum of squares of the whitened residual.
+    deviance : float
+        Minus twice the log likelihood, constants apart: compares models on the same noise.
+    samples : int
+        Force and height samples in the fit.
+    warnings : tuple of str
+        What a reader of the numbers must know.
+    problem : Problem
+        What was minimised, for intervals and tests of further effects.
+    state : ndarray
+        All parameters where the search ended, as `problem` orders them.
+
+    """
+
+    model: Model
+    parameters: Mapping[str, Estimate]
+    theta: FloatArray
+    covariance: FloatArray
+    trials: tuple[TrialFit | None, ...]
+    noise: CampaignNoise
+    cost: float
+    deviance: float
+    samples: int
+    warnings: tuple[str, ...]
+    problem: 'Problem'
+    state: FloatArray
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Return the correlation of the entries of `theta`; not a number where nothing is told."""
+        std = np.sqrt(np.diag(self.covariance))
+        known = np.isfinite(std) & (std > 0.0)
+        result = np.full(self.covariance.shape, math.nan)
+        both = np.outer(known, known)
+        scale = np.where(known, std, 1.0)
+        np.divide(self.covariance, np.outer(scale, scale), out=result, where=both)
+        return result
+
+    @property
+    def force_rmse(self) -> float:
+        """Return the root mean square force residual over all samples [N]."""
+        return _rms(np.concatenate([t.force.value - t.force_fitted for t in self.trials if t]))
+
+    @property
+    def height_rmse(self) -> float | None:
+        """Return the root mean square height residual over all samples [m]; None without any."""
+        heights = [t.height.value - t.height_fitted for t in self.trials if t and len(t.height)]
+        return _rms(np.concatenate(heights)) if heights else None
+
+    @property
+    def force_chi2(self) -> float | None:
+        """Return the mean squared force residual over the squared noise before contact."""
+        noise = self.noise.force_before_contact
+        return (self.force_rmse / noise) ** 2 if noise else None
+
+    @property
+    def height_chi2(self) -> float | None:
+        """Return the mean squared height residual over the squared noise before contact."""
+        noise, rmse = self.noise.height_before_contact, self.height_rmse
+        return (rmse / noise) ** 2 if noise and rmse is not None else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Weights:
+    """What makes a trial's residuals white."""
+
+    force: Whitener
+    height: Whitener | None
+
+
+class Problem:
+    """
+    The least-squares problem of a campaign: whitened residuals and Jacobian.
+
+    The state holds the p shared parameters (theta), then for each trial its q own parameters, its
+    force zero and its height zero, as far as its record can tell them.
+
+    Parameters
+    ----------
+    model : Model
+        What to fit.
+    trials : sequence of FitTrial
+        The trials.
+
+    """
+
+    def __init__(self, model: Model, trials: Sequence[FitTrial]) -> None:
+        self.model = model
+        self.trials = tuple(trials)
+        self.p = len(model.parameters)
+        self.q = len(model.trial_parameters)
+        self.places: list[slice] = []
+        self.names = list(model.names)
+        stop = self.p
+        for trial in self.trials:
+            names = [
+                *model.trial_names,
+                *(['force_zero'] if trial.has_force_zero else []),
+                *(['height_zero'] if trial.has_height_zero else []),
+            ]
+            self.places.append(slice(stop, stop + len(names)))
+            self.names += [f'{name} of {trial.name}' for name in names]
+            stop += len(names)
+        self.size = stop
+        self._weights: tuple[_Weights, ...] = ()
+        self.log_determinant = 0.0
+        lower, upper = np.full(stop, -np.inf), np.full(stop, np.inf)
+        lower[: self.p], upper[: self.p] = model.bounds
+        for place in self.places:
+            own = slice(place.start, place.start + self.q)
+            lower[own] = [parameter.lower for parameter in model.trial_parameters]
+            upper[own] = [parameter.upper for parameter in model.trial_parameters]
+        self.bounds = (lower, upper)
+
+    def set_noise(
+        self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray] | None = None
+    ) -> None:
+        """
+        Set what the residuals are weighted by.
+
+        Parameters
+        ----------
+        force, height : SensorNoise
+            Noise of one sample.
+        jumps : sequence of ndarray, optional
+            For each trial, the variance that each step's force has for that a jump of the force
+            is known only to the sample [N^2].
+
+        """
+        weights = []
+        self.log_determinant = 0.0
+        for i, trial in enumerate(self.trials):
+            blocks = force_blocks(trial, None if jumps is None else jumps[i])
+            force_filter = whitener(blocks, force)
+            self.log_determinant += force_filter.log_determinant
+            height_filter = None
+            if trial.height_t.size:
+                height_filter = whitener(height_blocks(trial), height)
+                self.log_determinant += height_filter.log_determinant
+            weights.append(_Weights(force_filter, height_filter))
+        self._weights = tuple(weights)
+
+    def own(self, state: FloatArray, index: int) -> tuple[FloatArray, float, float]:
+        """Return a trial's own parameters and the zeros of its force and height."""
+        values = state[self.places[index]]
+        trial = self.trials[index]
+        force_zero = float(values[self.q]) if trial.has_force_zero else 0.0
+        height_zero = float(values[-1]) if trial.has_height_zero else 0.0
+        return values[: self.q], force_zero, height_zero
+
+    def predict(
+        self, state: FloatArray, index: int, trial: FitTrial | None = None, *, directions: bool
+    ) -> Prediction:
+        """Return what the model says of a trial, or of another form of it."""
+        return self.model.predict(
+            self.trials[index] if trial is None else trial,
+            state[: self.p],
+            self.own(state, index)[0],
+            directions=directions,
+        )
+
+    def records(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+        """
+        Return residuals and derivatives before whitening.
+
+        Returns
+        -------
+        force, height : ndarray, shapes (p + own + 1, n), (p + own + 1, m)
+            Derivatives of the prediction in the shared parameters, then in the trial's own; last,
+            predicted minus measured.
+
+        """
+        trial = self.trials[index]
+        prediction = self.predict(state, index, directions=True)
+        _, force_zero, height_zero = self.own(state, index)
+        given = self.p + self.q
+        rows = self.p + self.places[index].stop - self.places[index].start + 1
+        force = np.zeros((rows, trial.force.size))
+        height = np.zeros((rows, trial.height_t.size))
+        force[:given] = prediction.d_force
+        height[:given] = prediction.d_height
+        if trial.has_force_zero:
+            force[given] = 1.0
+        if trial.has_height_zero:
+            height[rows - 2] = 1.0
+        force[-1] = prediction.force + force_zero - trial.force
+        height[-1] = prediction.height + height_zero - trial.height
+        return force, height
+
+    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return the whitened residual and Jacobian, shapes (k,) and (k, size).
+
+        Each trial is reduced to its triangular factor, with the same squares and products.
+        """
+        residuals, blocks, p = [], [], self.p
+        for index, weights in enumerate(self._weights):
+            force, height = self.records(state, index)
+            rows = weights.force(force)
+            if weights.height is not None:
+                rows = np.hstack((rows, weights.height(height)))
+            if not np.isfinite(rows).all():
+                return np.array([math.inf]), np.zeros((1, self.size))
+            factor = np.linalg.qr(rows.T, mode='r')
+            block = np.zeros((factor.shape[0] + 1, self.size))
+            place = self.places[index]
+            block[:-1, :p] = factor[:, :p]
+            block[:-1, place] = factor[:, p:-1]
+            # The prior of the onset.
+            block[-1, place.start] = 1.0 / self.trials[index].onset_std
+            residuals.append(
+                np.append(factor[:, -1], state[place.start] / self.trials[index].onset_std)
+            )
+            blocks.append(block)
+        return np.concatenate(residuals), np.vstack(blocks)
+
+    def noise_records(
+        self, state: FloatArray, jumps: Sequence[FloatArray]
+    ) -> tuple[list[Record], list[Record]]:
+        """Return what tells the noise of force and height."""
+        forces, heights, p = [], [], self.p
+        for index, trial in enumerate(self.trials):
+            force, height = self.records(state, index)
+            blocks = force_blocks(trial, jumps[index])
+            forces.append(Record(blocks, force[-1], force[:p], force[p:-1]))
+            if trial.height_t.size:
+                heights.append(Record(height_blocks(trial), height[-1], height[:p], height[p:-1]))
+        return forces, heights
+
+    def jumps(self, state: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the variance of each step's force for that a jump is known to a sample [N^2]."""
+        return tuple(
+            _jumps(self.predict(state, i, directions=False).force, trial)
+            for i, trial in enumerate(self.trials)
+        )
+
+
+def force_blocks(trial: FitTrial, extra: FloatArray | None = None) -> Blocks:
+    """Return how the force of a trial is averaged."""
+    return Blocks(
+        np.diff(trial.t),
+        trial.force_count,
+        np.zeros(trial.force.size) if extra is None else extra,
+    )
+
+
+def height_blocks(trial: FitTrial) -> Blocks:
+    """Return how the height of a trial is averaged."""
+    gaps = np.diff(trial.height_t, prepend=trial.height_t[0] - trial.height_interval)
+    return Blocks(gaps, trial.height_count, np.zeros(trial.height_t.size))
+
+
+def _jumps(force: FloatArray, trial: FitTrial) -> FloatArray:
+    middle = 0.5 * (trial.t[1:] + trial.t[:-1])
+    bend = np.zeros(force.size)
+    slope = np.diff(force) / np.diff(middle)
+    bend[1:-1] = 0.5 * trial.interval * np.abs(np.diff(slope))
+    near = bend.copy()
+    near[1:] = np.maximum(near[1:], bend[:-1])
+    near[:-1] = np.maximum(near[:-1], bend[1:])
+    # A mean over several samples holds the jump in one of them.
+    return np.asarray((near / np.maximum(trial.force_count, 1.0)) ** 2, dtype=np.float64)
+
+
+def fit(
+    campaign: Sequence[Segmented],
+    model: Model | None = None,
+    *,
+    start: Mapping[str, float] | None = None,
+) -> Fit:
+    """
+    Fit a model to all trials of a campaign at once.
+
+    Parameters
+    ----------
+    campaign : sequence of TrialAnalysis or (Trial, Segmentation)
+        The trials.
+    model : Model, optional
+        What to fit; the three-element model by default.
+    start : mapping of str to float, optional
+        Where to start for some parameters, in SI units; all others start from what the force
+        alone tells by linear least squares.
+
+    Returns
+    -------
+    Fit
+        The parameters with their errors.
+
+    Raises
+    ------
+    UsageError
+        If there is no trial to fit, or `start` names what the model does not have.
+
+    """
+    model = Model() if model is None else model
+    pairs = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+    prepared, warnings = prepare(pairs, full_rate=bool(_FULL_RATE & set(model.effects)))
+    return fit_prepared(prepared, model, start=start, warnings=warnings)
+
+
+def fit_prepared(
+    prepared: Sequence[FitTrial | None],
+    model: Model,
+    *,
+    start: Mapping[str, float] | None = None,
+    warnings: Sequence[str] = (),
+) -> Fit:
+    """
+    Fit a model to trials that are in the form of the fit already, as `fit` does.
+
+    Parameters
+    ----------
+    prepared : sequence of (FitTrial or None)
+        From `hapticvision_ros.core.fit.data.prepare`.
+    model : Model
+        What to fit.
+    start : mapping of str to float, optional
+        Where to start.
+    warnings : sequence of str
+        What is known already of the trials.
+
+    Returns
+    -------
+    Fit
+        The parameters with their errors.
+
+    Raises
+    ------
+    UsageError
+        If there is no trial to fit, or `start` names what the model does not have.
+
+    """
+    usable = [trial for trial in prepared if trial is not None]
+    if not usable:
+        why = f': {warnings[0]}' if warnings else ''
+        raise UsageError(f'there is no trial to fit{why}')
+    for name in start or {}:
+        if name not in model.names:
+            raise UsageError(
+                f'the model has no parameter {name!r}: choose among {", ".join(model.names)}'
+            )
+    force_noise, height_noise = _first_noise(usable)
+    problem, state = _search(usable, model, start, force_noise, height_noise)
+    for turn in range(_ROUNDS):
+        jumps = problem.jumps(state)
+        forces, heights = problem.noise_records(state, jumps)
+        before = force_noise
+        force_noise = estimate(forces, force_noise, usable[0].interval)
+        if heights:
+            height_noise = estimate(heights, height_noise, usable[0].height_interval)
+        problem.set_noise(force_noise, height_noise, jumps)
+        solution = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-9)
+        state = solution.theta
+        cleaned = _without_outliers(problem, state, force_noise) if turn == 0 else None
+        if cleaned is not None:
+            problem = Problem(model, cleaned)
+            continue
+        if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0:
+            break
+    return _result(prepared, problem, solution, force_noise, height_noise, warnings)
+
+
+def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
+    """Return white noise that neighbouring samples of each sensor tell of."""
+    force = [_white(t.samples.force[t.samples.good]) for t in trials]
+    height = [_white(t.height) for t in trials if t.height.size > 8]
+    peak = max(float(np.abs(t.force).max()) for t in trials)
+    depth = trials[0].reference_depth
+    return (
+        SensorNoise(max(float(np.median(force)), 1e-7 * peak), 0.0, trials[0].interval),
+        SensorNoise(
+            max(float(np.median(height)) if height else 0.0, 1e-7 * depth),
+            0.0,
+            trials[0].height_interval,
+        ),
+    )
+
+
+def _white(value: FloatArray) -> float:
+    """Return the noise that second differences show."""
+    curvature = np.abs(np.diff(value[:200_000], 2))
+    return NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
+
+
+def _search(
+    trials: Sequence[FitTrial],
+    model: Model,
+    start: Mapping[str, float] | None,
+    force_noise: SensorNoise,
+    height_noise: SensorNoise,
+) -> tuple[Problem, FloatArray]:
+    """Return the problem with white noise, and the best state from several starts."""
+    base = Model()
+    body = identify(trials)
+    problem = Problem(base, trials)
+    state = np.zeros(problem.size)
+    given = {} if start is None else dict(start)
+    values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
+    state[:3] = base.theta([given.get(name, value) for name, value in values.items()])
+    problem.set_noise(force_noise, height_noise)
+    problem.set_noise(force_noise, height_noise, problem.jumps(state))
+    state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
+    if not model.effects:
+        return problem, state
+    K1, C1, C2 = base.values(state[:3])
+    scale = _scale(problem, state, K1, C1, C2)
+    whole = Problem(model, trials)
+    whole.set_noise(force_noise, height_noise, problem.jumps(state))
+    guess = model.first_guess(scale)
+    best: Solution | None = None
+    for factor in (1.0, 0.1, 0.01, 10.0):
+        values_ = model.values(guess)
+        values_[3:] *= factor
+        for name, value in given.items():
+            values_[model.names.index(name)] = value
+        begin = np.zeros(whole.size)
+        begin[: whole.p] = np.clip(model.theta(values_), *model.bounds)
+        for old, new in zip(problem.places, whole.places, strict=True):
+            begin[new.start] = state[old.start]
+            # The zeros stand last.
+            zeros = np.arange(old.stop - old.start - 1)
+            begin[new.stop - 1 - zeros] = state[old.stop - 1 - zeros]
+        _turn_phases(whole, begin)
+        try:
+            found = minimise(
+                whole.evaluate, begin, whole.bounds, tolerance=1e-4, max_evaluations=25
+            )
+        except ValueError:
+            continue
+        if best is None or found.cost < best.cost * (1.0 - 1e-6):
+            best = found
+    if best is None:
+        raise UsageError(f'the model {model.name} cannot be evaluated near any start')
+    return whole, best.theta
+
+
+def _turn_phases(problem: Problem, state: FloatArray) -> None:
+    """Start the trials' own parameters that have no neutral value where they fit best."""
+    for k, parameter in enumerate(problem.model.trial_parameters):
+        if not math.isnan(parameter.neutral):
+            continue
+        for index, trial in enumerate(problem.trials):
+            place = problem.places[index].start + k
+            costs = []
+            tried = np.linspace(-math.pi, math.pi, 8, endpoint=False)
+            for value in tried:
+                state[place] = value
+                prediction = problem.predict(state, index, directions=False)
+                costs.append(float(np.sum((prediction.force - trial.force) ** 2)))
+            state[place] = tried[int(np.argmin(costs))]
+
+
+def _scale(problem: Problem, state: FloatArray, K1: float, C1: float, C2: float) -> Scale:
+    """Return what the campaign looks like."""
+    trials = problem.trials
+    speeds, contacts = [], []
+    for trial in trials:
+        end = trial.t[-1] if trial.t_release is None else trial.t_release
+        contacts.append(float(end - trial.t_contact))
+        deepest = float(trial.t[int(np.argmax(trial.displacement))])
+        reach = float(trial.displacement.max())
+        early = float(np.interp(0.9 * reach, *_rising(trial, deepest)))
+        speeds.append(0.9 * reach / max(early - trial.t_contact, trial.interval))
+    amplitude, frequency = _line_spectrum(problem, state)
+    return Scale(
+        K1=float(K1),
+        C1=float(C1),
+        C2=float(C2),
+        force=max(float(np.abs(trial.force).max()) for trial in trials),
+        depth=trials[0].reference_depth,
+        push_speed=float(np.median(speeds)),
+        contact_time=float(np.median(contacts)),
+        sampling_interval=trials[0].interval,
+        campaign_time=max(trial.campaign_time for trial in trials),
+        disturbance_amplitude=amplitude,
+        disturbance_frequency=frequency,
+    )
+
+
+def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:
+    """Return displacement, increasing, and time of the push."""
+    inside = (trial.t >= trial.t_contact) & (trial.t <= deepest)
+    return np.maximum.accumulate(trial.displacement[inside]), trial.t[inside]
+
+
+def _line_spectrum(problem: Problem, state: FloatArray) -> tuple[float, float]:
+    """Return amplitude [N] and frequency [Hz] of the strongest line in the residual force."""
+    total = np.empty(0)
+    length = min(65536, *(t.samples.force.size for t in problem.trials))
+    for index, trial in enumerate(problem.trials):
+        full = trial.at_full_rate()
+        residual = full.force - problem.predict(state, index, full, directions=False).force
+        piece = residual[-length:] - residual[-length:].mean()
+        power = np.abs(np.fft.rfft(piece * np.hanning(length))) ** 2
+        total = power if total.size == 0 else total + power
+    total[:3] = 0.0
+    peak = int(np.argmax(total))
+    places = np.arange(max(peak - 1, 0), min(peak + 2, total.size))
+    around = total[places]
+    frequency = float(around @ places / around.sum()) / (length * problem.trials[0].interval)
+    amplitude = 4.0 * math.sqrt(float(total[peak]) / len(problem.trials)) / length
+    return amplitude, max(frequency, 1e-2)
+
+
+def _without_outliers(
+    problem: Problem, state: FloatArray, noise: SensorNoise
+) -> tuple[FitTrial, ...] | None:
+    """Return the trials without the samples that stand out of the residual; None if none do."""
+    cleaned, any_bad = [], False
+    for index, trial in enumerate(problem.trials):
+        full = trial.at_full_rate()
+        predicted = problem.predict(state, index, full, directions=False).force
+        residual = trial.samples.force - predicted
+        # What a jump known to the sample leaves is no glitch.
+        limit = _OUTLYING * np.sqrt(noise.std**2 + 4.0 * _jumps(predicted, full))
+        limit = np.maximum(limit, _SMALLEST_GLITCH * float(np.abs(predicted).max()))
+        bad = suspects(residual) & (np.abs(residual) > limit) & trial.samples.good
+        if bad.any():
+            any_bad = True
+            trial = trial.without(bad)
+        cleaned.append(trial)
+    return tuple(cleaned) if any_bad else None
+
+
+def _result(
+    prepared: Sequence[FitTrial | None],
+    problem: Problem,
+    solution: Solution,
+    force_noise: SensorNoise,
+    height_noise: SensorNoise,
+    known: Sequence[str],
+) -> Fit:
+    """Return the fit with its errors and warnings."""
+    model, p, state = problem.model, problem.p, solution.theta
+    covariance = solution.covariance()
+    warnings = list(known)
+    parameters = _estimates(model, solution, covariance[:p, :p])
+    warnings += [f'{name} is unknown: {e.reason}' for name, e in parameters.items() if not e.known]
+    fitted: list[TrialFit | None] = []
+    indices = iter(range(len(problem.trials)))
+    before: list[float] = []
+    height_before: list[float] = []
+    samples = 0
+    for item in prepared:
+        if item is None:
+            fitted.append(None)
+            continue
+        index = next(indices)
+        trial = problem.trials[index]
+        made = _trial_fit(problem, state, covariance, index, force_noise)
+        fitted.append(made)
+        samples += len(made.force) + len(made.height)
+        early = made.force.between(-math.inf, trial.t_contact).value[:-2]
+        if early.size >= 32:
+            before.append(float(np.std(early)))
+        early = made.height.between(-math.inf, trial.t_contact).value
+        if early.size >= 16:
+            height_before.append(float(np.std(early)))
+        if made.set_aside.size:
+            first = ', '.join(f'{t:.4g}' for t in made.set_aside[:3])
+            more = ', ...' if made.set_aside.size > 3 else ''
+            warnings.append(
+                f'{trial.name}: {made.set_aside.size} force samples stand out and were set aside '
+                f'(at {first}{more} s)'
+            )
+        if not trial.has_force_zero:
+            warnings.append(
+                f'{trial.name}: the record has no force without contact, so the zero of the load '
+                f'cell is taken for right'
+            )
+    noise = CampaignNoise(
+        force_noise,
+        height_noise,
+        float(np.median(before)) if before else None,
+        float(np.median(height_before)) if height_before else None,
+    )
+    result = Fit(
+        model=model,
+        parameters=MappingProxyType(parameters),
+        theta=state[:p].copy(),
+        covariance=covariance[:p, :p],
+        trials=tuple(fitted),
+        noise=noise,
+        cost=solution.cost,
+        deviance=solution.cost + problem.log_determinant,
+        samples=samples,
+        warnings=tuple(warnings),
+        problem=problem,
+        state=state,
+    )
+    loud = []
+    for what, quiet, rmse in (
+        ('force', noise.force_before_contact, result.force_rmse),
+        ('height', noise.height_before_contact, result.height_rmse),
+    ):
+        if quiet and rmse is not None and rmse > _LOUD * quiet > 1e-9 * rmse:
+            loud.append(
+                f'the model misses the {what} by {rmse / quiet:.2g} times the noise before '
+                f'contact: the errors of the parameters take this for slow noise'
+            )
+    if not solution.converged:
+        loud.append('the search for the best parameters did not settle')
+    return replace(result, warnings=(*result.warnings, *loud))
+
+
+def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict[str, Estimate]:
+    """Return the shared parameters, unknown with a reason where the trials cannot tell them."""
+    values = model.values(solution.theta[: len(model.names)])
+    std = np.sqrt(np.diag(covariance))
+    known = np.isfinite(std) & (std > 0.0)
+    estimates = {}
+    for i, name in enumerate(model.names):
+        log = model.log[i]
+        value = float(values[i])
+        if solution.at_bound[i]:
+            parameter = model.parameters[i]
+            if not log and value == parameter.neutral:
+                estimates[name] = Estimate(
+                    value, None, f'the best fit has no {name} at all: it lies on the bound'
+                )
+                continue
+            estimates[name] = Estimate.unknown(
+                f'the best fit lies on the bound {name} = {value:.3g} {parameter.unit}'
+            )
+            continue
+        if not math.isfinite(std[i]):
+            estimates[name] = Estimate.unknown('nothing in these trials depends on it')
+            continue
+        if log and std[i] > _UNTOLD:
+            others = [
+                (abs(covariance[i, j]) / (std[i] * std[j]), model.names[j])
+                for j in range(len(model.names))
+                if j != i and known[j]
+            ]
+            closest = max(others, default=(0.0, ''))
+            tie = (
+                f', and any change of it can be made up for by {closest[1]}'
+                if closest[0] > 0.9
+                else ''
+            )
+            estimates[name] = Estimate.unknown(
+                f'these trials tell it only to within a factor of '
+                f'{math.exp(min(std[i], 20.0)):.2g}{tie}'
+            )
+            continue
+        estimates[name] = Estimate(value, float(std[i]) * (value if log else 1.0))
+    return estimates
+
+
+def _trial_fit(
+    problem: Problem,
+    state: FloatArray,
+    covariance: FloatArray,
+    index: int,
+    noise: SensorNoise,
+) -> TrialFit:
+    """Return a trial beside the model at the full rate."""
+    trial = problem.trials[index]
+    full = trial.at_full_rate()
+    prediction = problem.predict(state, index, full, directions=False)
+    _, force_zero, height_zero = problem.own(state, index)
+    good = trial.samples.good & (_jumps(prediction.force, full) <= noise.std**2)
+    t = 0.5 * (full.t[1:] + full.t[:-1])
+    place = problem.places[index]
+    std = np.sqrt(np.diag(covariance)[place])
+    names = [
+        *problem.model.trial_names,
+        *(['force_zero'] if trial.has_force_zero else []),
+        *(['height_zero'] if trial.has_height_zero else []),
+    ]
+    values = {
+        name: Estimate(float(value), float(error))
+        if math.isfinite(error)
+        else Estimate.unknown('nothing in this trial depends on it')
+        for name, value, error in zip(names, state[place], std, strict=True)
+    }
+    return TrialFit(
+        name=trial.name,
+        force=Signal(t[good], trial.samples.force[good] - force_zero),
+        force_fitted=prediction.force[good],
+        height=Signal(full.height_t, full.height - height_zero),
+        height_fitted=prediction.height,
+        values=MappingProxyType(values),
+        set_aside=trial.set_aside,
+    )
+
+
+def _rms(value: FloatArray) -> float:
+    """Return the root mean square."""
+    return math.sqrt(float(value @ value) / value.size)

@@ -1,0 +1,573 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Trials as the fit of the whole waveform sees them: steps, and means of samples over them.
+
+The steps of a trial end midway between two force samples. Where nothing happens in a trial, as
+late in the hold, steps span many samples, ever more the longer ago the last event is: the mean
+force over such a step and the memory of its noise (`hapticvision_ros.core.fit.noise_model`) lose
+nothing by it. The tool's displacement at the ends of the steps comes from straight pieces through
+the encoders' samples, as many as it takes to follow them within their noise.
+
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+import math
+from typing import Final
+
+from hapticvision_ros.core.fit.glitches import find_glitches, NORMAL_FROM_MAD
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
+import numpy as np
+from numpy.typing import NDArray
+
+_FEWEST: Final = 16
+"""A trial with fewer force samples is not fitted."""
+_GROWTH: Final = 0.02
+"""Length of a step over the time since the last event, or until the next."""
+_PATH_BLOCKS: Final = 256
+_PATH_SIGMAS: Final = 5.0
+_MOST_PIECES: Final = 96
+_AIR: Final = 0.2
+"""The tool's path is followed up to this share of the depth above the first touch."""
+_SHALLOW: Final = (0.01, 0.03, 0.1)
+"""Shares of the depth over which the first rise of the force is looked at."""
+_BASELINE: Final = 32
+"""Samples before the contact from which on the zero of the load cell is fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """
+    The force samples of a trial, each with the step around it.
+
+    Parameters
+    ----------
+    edges : ndarray, shape (n + 1,)
+        Ends of the steps [s].
+    force : ndarray, shape (n,)
+        Measured force without the load cell's zero [N].
+    good : ndarray of bool, shape (n,)
+        False where a sample is set aside as a glitch.
+
+    """
+
+    edges: FloatArray
+    force: FloatArray
+    good: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPath:
+    """
+    The tool's displacement beyond the first touch, as straight pieces.
+
+    Parameters
+    ----------
+    t, displacement : ndarray, shape (k,)
+        The corners [s, m].
+    noise : float
+        Standard deviation of a sample of the encoders about the path [m].
+
+    """
+
+    t: FloatArray
+    displacement: FloatArray
+    noise: float
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return the displacement at times `t` [m]."""
+        return np.interp(t, self.t, self.displacement)
+
+
+@dataclass(frozen=True, slots=True)
+class FitTrial:
+    """
+    A trial in n steps, with m samples (or means of samples) of the displacement height.
+
+    Parameters
+    ----------
+    name : str
+        The trial's name.
+    t : ndarray, shape (n + 1,)
+        Ends of the steps [s].
+    displacement : ndarray, shape (n + 1,)
+        Tool displacement beyond the detected touch at `t` [m].
+    force : ndarray, shape (n,)
+        Mean of the good force samples in each step, without the zero of the segmentation [N].
+    force_count : ndarray, shape (n,)
+        How many those are.
+    height_t, height, height_count : ndarray, shape (m,)
+        Times [s], displacement height [m] and number of samples of each mean.
+    campaign_time : float
+        When the trial starts, from the start of the campaign [s].
+    reference_depth : float
+        Depth of the deepest push of the campaign [m].
+    zero_time : float
+        Mean time of the samples that gave the force zero [s].
+    interval, height_interval : float
+        Usual interval between two samples of force and of height [s].
+    onset_std : float
+        How well the detected contact is known [m].
+    has_force_zero, has_height_zero : bool
+        Whether the record shows the sensor without contact, so that its zero can be fitted.
+    t_contact : float
+        The detected touch [s].
+    samples : Samples
+        The force at its full rate.
+    path : ToolPath
+        The tool's path.
+    set_aside : tuple of float
+        Times of the force samples that are not used [s].
+
+    """
+
+    name: str
+    t: FloatArray
+    displacement: FloatArray
+    force: FloatArray
+    force_count: FloatArray
+    height_t: FloatArray
+    height: FloatArray
+    height_count: FloatArray
+    campaign_time: float
+    reference_depth: float
+    zero_time: float
+    interval: float
+    height_interval: float
+    onset_std: float
+    has_force_zero: bool
+    has_height_zero: bool
+    t_contact: float
+    t_release: float | None
+    samples: Samples
+    path: ToolPath
+
+    @property
+    def set_aside(self) -> FloatArray:
+        """Return the times of the force samples that are not used [s]."""
+        bad = np.flatnonzero(~self.samples.good)
+        return 0.5 * (self.samples.edges[bad] + self.samples.edges[bad + 1])
+
+    def at_full_rate(self) -> 'FitTrial':
+        """Return the same trial with one step for each force sample."""
+        return _with_steps(self, np.arange(self.samples.edges.size))
+
+    def without(self, bad: NDArray[np.bool_]) -> 'FitTrial':
+        """Return the same trial with further force samples set aside; `bad` has shape (n,)."""
+        samples = replace(self.samples, good=self.samples.good & ~bad)
+        steps = np.searchsorted(samples.edges, self.t)
+        return _with_steps(replace(self, samples=samples), steps)
+
+
+def prepare(
+    trials: Sequence[tuple[Trial, Segmentation]], *, full_rate: bool = False
+) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
+    """
+    Return trials in the form that the fit works with.
+
+    Parameters
+    ----------
+    trials : sequence of (Trial, Segmentation)
+        A campaign.
+    full_rate : bool
+        Whether each force sample has a step of its own everywhere.
+
+    Returns
+    -------
+    fit_trials : tuple of (FitTrial or None)
+        One for each trial; None where there is nothing to fit.
+    warnings : tuple of str
+        Why.
+
+    """
+    prepared: list[FitTrial | None] = []
+    warnings: list[str] = []
+    first = min((trial.start_ns for trial, _ in trials), default=0)
+    for trial, phases in trials:
+        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9)
+        if isinstance(made, str):
+            warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
+            prepared.append(None)
+            continue
+        prepared.append(made.at_full_rate() if full_rate else made)
+    deepest = max((float(t.path.displacement.max()) for t in prepared if t is not None), default=1)
+    return (
+        tuple(t if t is None else replace(t, reference_depth=deepest) for t in prepared),
+        tuple(warnings),
+    )
+
+
+def _prepare(trial: Trial, phases: Segmentation, campaign_time: float) -> FitTrial | str:
+    """Return one trial, or why it cannot be used."""
+    touch, original = phases.t_contact, phases.contact_height
+    if touch is None or original is None:
+        return 'no contact was found'
+    force = trial.force.between(-math.inf, np.nextafter(phases.t_end, math.inf))
+    tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
+    if np.count_nonzero(force.t > touch) < _FEWEST or np.count_nonzero(tool.t > touch) < 4:
+        return 'there are too few samples in contact'
+    displacement = Signal(tool.t, original - tool.value)
+    if displacement.value.max() <= 0.0:
+        return 'the tool does not go on after the touch'
+    path = tool_path(displacement, phases)
+    interval = float(np.median(np.diff(force.t)))
+    middle = 0.5 * (force.t[1:] + force.t[:-1])
+    edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
+    samples = Samples(edges, force.value - phases.force_zero, ~suspects(force.value))
+    baseline = int(np.searchsorted(force.t, touch))
+    record = trial.displacement_height if trial.displacement_source != 'tool' else None
+    height_interval = 1.0
+    height_t = height = np.empty(0)
+    if record is not None:
+        record = record.between(edges[0], edges[-1])
+        if len(record) >= 2:
+            good = ~suspects(record.value)
+            height_t, height = record.t[good], record.value[good]
+            height_interval = float(np.median(np.diff(record.t)))
+    raw = FitTrial(
+        name=trial.name,
+        t=edges,
+        displacement=edges,
+        force=samples.force,
+        force_count=np.ones(samples.force.size),
+        height_t=height_t,
+        height=height,
+        height_count=np.ones(height.size),
+        campaign_time=campaign_time,
+        reference_depth=float(path.displacement.max()),
+        zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
+        interval=interval,
+        height_interval=height_interval,
+        onset_std=_onset_std(force, path, touch, interval),
+        has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
+        has_height_zero=int(np.count_nonzero(height_t < touch)) >= 3,
+        t_contact=touch,
+        t_release=phases.t_release,
+        samples=samples,
+        path=path,
+    )
+    events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
+    if path.t.size <= 4 * _MOST_PIECES:
+        inner = path.t[(path.t > touch) & (path.t < edges[-1])]
+        events += inner.tolist()
+        return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval))
+    return raw.at_full_rate()
+
+
+def _steps(edges: FloatArray, events: FloatArray, interval: float) -> NDArray[np.intp]:
+    """Return which edges remain: sparse far from the events, and all of them near these."""
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    distance = np.full(middle.size, np.inf)
+    after = np.searchsorted(events, middle)
+    known = after > 0
+    distance[known] = middle[known] - events[after[known] - 1]
+    known = after < events.size
+    distance[known] = np.minimum(distance[known], events[after[known]] - middle[known])
+    # Samples per step, integrated: an edge stays wherever the sum passes a whole number.
+    density = 1.0 / np.maximum(_GROWTH * distance / interval, 1.0)
+    progress = np.floor(np.cumsum(density) + 1e-9)
+    kept = np.flatnonzero(np.diff(progress) > 0.0) + 2
+    return np.unique(np.concatenate(([0, 1], kept, [edges.size - 1])))
+
+
+def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:
+    """Return a trial in the steps between some edges of its samples."""
+    samples = trial.samples
+    t = samples.edges[steps]
+    start = steps[:-1]
+    good = samples.good.astype(np.float64)
+    count = np.add.reduceat(good, start)
+    total = np.add.reduceat(samples.force * good, start)
+    force = np.divide(total, count, out=np.zeros(count.size), where=count > 0.0)
+    height_t, height, height_count = trial.height_t, trial.height, trial.height_count
+    if height_t.size and height_t.size > steps.size // 4:
+        where = np.searchsorted(t, height_t, side='right')
+        first = np.flatnonzero(np.diff(where, prepend=-1))
+        weight = np.add.reduceat(height_count, first)
+        height_t = np.add.reduceat(height_t * height_count, first) / weight
+        height = np.add.reduceat(height * height_count, first) / weight
+        height_count = weight
+    return replace(
+        trial,
+        t=t,
+        displacement=trial.path.at(t),
+        force=force,
+        force_count=count,
+        height_t=height_t,
+        height=height,
+        height_count=height_count,
+    )
+
+
+def suspects(value: FloatArray) -> NDArray[np.bool_]:
+    """
+    Return which samples are glitches; quick where there are none.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        Samples in order of time.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True where a sample stands out of its neighbourhood.
+
+    """
+    none = np.zeros(value.size, dtype=np.bool_)
+    if value.size < 8:
+        return none
+    curvature = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
+    typical = float(np.median(curvature[:: max(1, curvature.size // 10_000)]))
+    # A glitch shows at its ends, whatever its length.
+    ends = np.flatnonzero(curvature > 8.0 * NORMAL_FROM_MAD * typical)
+    if ends.size == 0:
+        return none
+    for first in np.unique(ends // 2048) * 2048:
+        low, high = max(0, int(first) - 512), min(value.size, int(first) + 2048 + 512)
+        none[low:high] |= find_glitches(value[low:high])
+    return none
+
+
+def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> float:
+    """Return how well the detected touch is known, as a displacement [m]."""
+    early = np.interp(touch + np.array([0.0, 4.0 * interval]), path.t, path.displacement)
+    travelled = abs(float(early[1] - early[0])) / 4.0
+    depth = float(path.displacement.max())
+    air = force.between(-math.inf, touch - 2.0 * interval).value
+    if air.size >= _BASELINE:
+        noise = float(np.std(air))
+    else:
+        curvature = np.abs(np.diff(force.value, 2))
+        noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
+    inside = force.between(touch, math.inf)
+    travel = path.at(inside.t)
+    error = math.inf
+    for share in _SHALLOW:
+        rise = inside.value[: max(int(np.argmax(travel > share * depth)), 4)]
+        # How far the tool goes on until the force stands out of the noise.
+        gained = float(rise[-1] - rise[0]) if rise.size < 8 else float(np.ptp(rise))
+        error = min(error, 2.0 * share * depth * noise / max(gained, noise))
+    return math.hypot(travelled, path.noise, error)
+
+
+def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
+    """
+    Return the tool's path as straight pieces that follow the encoders within their noise.
+
+    The dashpots make force of speed, so that differences of noisy samples will not do. Pieces are
+    split in two where their samples, or means of 4 to 64 of them, leave a straight line by more
+    than the noise allows, so that a curved path is followed by many of them. Corners between two
+    clear slopes go to where the lines meet, and the levels at all corners are those of least
+    squares. Where the encoders have no noise, the samples themselves are the path.
+
+    Parameters
+    ----------
+    displacement : Signal
+        Tool displacement beyond the first touch [m], as the encoders tell it.
+    phases : Segmentation
+        Where corners are to be expected.
+
+    Returns
+    -------
+    ToolPath
+        The path; above the object it stops at a fifth of the depth.
+
+    """
+    t, value = displacement.t, displacement.value
+    bad = suspects(value)
+    if bad.any():
+        t, value = t[~bad], value[~bad]
+    noise = _encoder_noise(value)
+    top = -_AIR * float(value.max())
+    # In the air only that it is in the air matters.
+    below = np.flatnonzero(value > top)
+    first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
+    air = (np.array([t[0]]), np.array([value[0]])) if first > 0 else (np.empty(0), np.empty(0))
+    leave = np.array([t[-1]]) if last < t.size else np.empty(0)
+    inner_t, inner_value = t[first:last], value[first:last]
+    if noise <= 1e-7 * float(np.ptp(inner_value)) or inner_t.size < 16:
+        knots, levels = _thinned(inner_t, inner_value)
+    else:
+        times = (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss)
+        breaks = sorted(b for b in times if b is not None and inner_t[1] < b < inner_t[-2])
+        found = _pieces(inner_t, inner_value, breaks, noise)
+        knots, levels = _levels(inner_t, inner_value, _meet(inner_t, inner_value, found, noise))
+        if knots.size > _MOST_PIECES:
+            knots, levels = inner_t, inner_value
+    return ToolPath(
+        np.concatenate((air[0][air[0] < knots[0]], knots, leave[leave > knots[-1]])),
+        np.concatenate(
+            (
+                np.minimum(air[1], top)[air[0] < knots[0]],
+                levels,
+                np.full(leave.size, min(top, float(levels[-1])))[leave > knots[-1]],
+            )
+        ),
+        noise,
+    )
+
+
+def _encoder_noise(value: FloatArray) -> float:
+    """Return the standard deviation of an encoder's sample, steps of its reading included."""
+    curvature = np.abs(np.diff(value, 2))
+    noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
+    steps = np.abs(np.diff(value))
+    moving = steps[steps > 1e-12 * float(np.abs(value).max())]
+    if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
+        resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size
+        changes = int(np.count_nonzero(np.diff(np.flatnonzero(steps)) > 1))
+        # Steps between rests of a reading are its resolution; a tool that rests once has none.
+        if resting and changes > 0.1 * moving.size:
+            noise = max(noise, 0.3 * float(moving.min()))
+    return noise
+
+
+def _thinned(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the samples without those on a straight line between their neighbours."""
+    slope = np.diff(value) / np.diff(t)
+    bend = np.abs(np.diff(slope)) * np.minimum(np.diff(t)[1:], np.diff(t)[:-1])
+    kept = np.concatenate(([True], bend > 1e-9 * float(np.ptp(value)), [True]))
+    return t[kept], value[kept]
+
+
+def _pieces(
+    t: FloatArray, value: FloatArray, breaks: Sequence[float], noise: float
+) -> list[float]:
+    """Return the corners of straight pieces that follow the samples within the noise."""
+    corners = [float(t[0]), *breaks, float(t[-1])]
+    bounds = [0, *np.searchsorted(t, corners[1:-1]).tolist(), t.size]
+    pending = [(a, b) for a, b in pairwise(bounds) if b > a]
+    while pending and len(corners) <= 2 * _MOST_PIECES:
+        first, last = pending.pop()
+        if last - first < 8:
+            continue
+        edges = np.unique(
+            np.linspace(first, last, min(last - first, _PATH_BLOCKS) + 1).astype(int)
+        )
+        count = np.diff(edges).astype(np.float64)
+        mean_t = np.add.reduceat(t[first:last], edges[:-1] - first) / count
+        mean = np.add.reduceat(value[first:last], edges[:-1] - first) / count
+        line = _line(mean_t, mean, count)
+        miss = mean - line[0] - line[1] * mean_t
+        if not _leaves(miss, count, noise):
+            continue
+        split = _best_split(mean_t, mean, count)
+        at = int(edges[split])
+        corners.append(float(0.5 * (t[at - 1] + t[at])))
+        pending += [(first, at), (at, last)]
+    return sorted(corners)
+
+
+def _line(t: FloatArray, value: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Return level at t = 0 and slope of the weighted line of least squares."""
+    total = float(weight.sum())
+    centre = float(weight @ t) / total
+    mean = float(weight @ value) / total
+    away = t - centre
+    spread = float(weight @ away**2)
+    slope = float(weight @ (away * value)) / spread if spread > 0.0 else 0.0
+    return mean - slope * centre, slope
+
+
+def _leaves(miss: FloatArray, count: FloatArray, noise: float) -> bool:
+    """Whether means over some number of blocks leave zero by more than the noise allows."""
+    while miss.size >= 4:
+        if np.any(np.abs(miss) * np.sqrt(count) > _PATH_SIGMAS * noise):
+            return True
+        pairs = miss.size // 4 * 4
+        weight = count[:pairs].reshape(-1, 4)
+        miss = np.sum(miss[:pairs].reshape(-1, 4) * weight, axis=1) / weight.sum(axis=1)
+        count = weight.sum(axis=1)
+    return False
+
+
+def _best_split(t: FloatArray, value: FloatArray, weight: FloatArray) -> int:
+    """Return where two lines follow the points best; at least two points are on either side."""
+    t = t - t.mean()
+    value = value - value.mean()
+    sums = np.cumsum(
+        np.stack((weight, weight * t, weight * value, weight * t * t, weight * t * value)), axis=1
+    )
+    left = sums[:, 1:-2]
+    gained = np.zeros(left.shape[1])
+    for w, wt, wv, wtt, wtv in (left, sums[:, -1:] - left):
+        spread = wtt - wt * wt / w
+        joint = wtv - wt * wv / w
+        gained += wv * wv / w + np.where(spread > 0.0, joint**2 / np.maximum(spread, 1e-300), 0.0)
+    return int(np.argmax(gained)) + 2
+
+
+def _meet(t: FloatArray, value: FloatArray, corners: Sequence[float], noise: float) -> FloatArray:
+    """Return the corners, moved to where their pieces meet; without those that are none."""
+    knots = list(corners)
+    for _ in range(2):
+        bounds = np.searchsorted(t, knots)
+        bounds[-1] = t.size
+        lines = []
+        for a, b in pairwise(bounds):
+            inner = slice(a + 2, b - 2) if b - a >= 8 else slice(a, b)
+            x = t[inner]
+            if x.size < 2:
+                lines.append((0.0, 0.0, math.inf))
+                continue
+            level, slope = _line(x, value[inner], np.ones(x.size))
+            spread = float(np.sum((x - x.mean()) ** 2))
+            lines.append((level, slope, noise / math.sqrt(spread)))
+        moved = [knots[0]]
+        for k in range(1, len(knots) - 1):
+            (level_a, slope_a, error_a), (level_b, slope_b, error_b) = lines[k - 1], lines[k]
+            error = math.hypot(error_a, error_b)
+            if not math.isfinite(error):
+                moved.append(knots[k])
+                continue
+            if abs(slope_a - slope_b) <= 4.0 * error:
+                offset = (level_a - level_b) + (slope_a - slope_b) * knots[k]
+                reach = min(knots[k] - knots[k - 1], knots[k + 1] - knots[k])
+                if abs(offset) <= 4.0 * error * reach:
+                    continue
+                moved.append(knots[k])
+                continue
+            meeting = (level_b - level_a) / (slope_a - slope_b)
+            reach = max(
+                float(np.median(np.diff(t))) * 8.0,
+                min(knots[k] - knots[k - 1], knots[k + 1] - knots[k]) * 4.0 / _PATH_BLOCKS,
+            )
+            inside = abs(meeting - knots[k]) <= reach and moved[-1] < meeting < knots[k + 1]
+            moved.append(meeting if inside else knots[k])
+        moved.append(knots[-1])
+        knots = moved
+    return np.array(knots)
+
+
+def _levels(t: FloatArray, value: FloatArray, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners and their levels of least squares."""
+    piece = np.clip(np.searchsorted(knots, t, side='right') - 1, 0, knots.size - 2)
+    share = (t - knots[piece]) / (knots[piece + 1] - knots[piece])
+    # A corner that no sample holds is none.
+    held = np.bincount(piece, minlength=knots.size - 1) >= 2
+    if not held.all():
+        kept = np.concatenate((held, [True]))
+        kept[0] = True
+        return _levels(t, value, knots[kept])
+    diagonal = np.bincount(piece, (1.0 - share) ** 2, knots.size)
+    diagonal += np.bincount(piece + 1, share**2, knots.size)
+    beside = np.bincount(piece, share * (1.0 - share), knots.size - 1)
+    right = np.bincount(piece, (1.0 - share) * value, knots.size)
+    right += np.bincount(piece + 1, share * value, knots.size)
+    matrix = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+    return knots, np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)

@@ -1,0 +1,358 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Noise with memory: white noise plus a first-order autoregression, over blocks of samples.
+
+The autoregression is one of continuous time (an Ornstein-Uhlenbeck process), so that rates may
+differ and samples may be missing; together with the white noise, its samples are ARMA(1,1). Means
+over blocks of samples are whitened exactly, by the innovations of a Kalman filter, so that a
+record may be averaged where nothing happens in it, without losing what is known of its noise.
+
+References
+----------
+A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, ch. 3
+(innovations), 6 (temporal aggregation); H. D. Patterson and R. Thompson, Biometrika 58, 1971,
+545-554, doi:10.1093/biomet/58.3.545 (restricted likelihood).
+
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import math
+from typing import Final
+
+from hapticvision_ros.core.records import FloatArray
+from numba import njit
+import numpy as np
+
+_SUMMED: Final = 16
+"""Blocks of up to this many samples are summed; the closed form loses digits in short ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """
+    The noise of a sample of one sensor.
+
+    Parameters
+    ----------
+    white : float
+        Standard deviation of what is new in each sample.
+    slow : float
+        Standard deviation of the autoregression, in the same unit.
+    correlation_time : float
+        Of the autoregression [s].
+
+    """
+
+    white: float
+    slow: float
+    correlation_time: float
+
+    @property
+    def std(self) -> float:
+        """Return the standard deviation of a sample."""
+        return math.hypot(self.white, self.slow)
+
+    def correlation(self, interval: float) -> float:
+        """Return the correlation of two samples that are `interval` [s] apart."""
+        if self.std == 0.0:
+            return 0.0
+        return (self.slow / self.std) ** 2 * math.exp(-interval / self.correlation_time)
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """
+    How the samples of a record are averaged.
+
+    Parameters
+    ----------
+    duration : ndarray, shape (n,)
+        Of each block [s], gaps included.
+    count : ndarray, shape (n,)
+        Samples in it; none where all were set aside.
+    extra : ndarray, shape (n,)
+        Variance of the block's mean that is none of the sensor's.
+
+    """
+
+    duration: FloatArray
+    count: FloatArray
+    extra: FloatArray
+
+
+@njit(cache=True)
+def _filter(  # type: ignore[no-untyped-def]
+    duration, count, extra, white, slow, tau, seen, passed, gain, weight
+):
+    """Fill the filter of each block; return the logarithm of the determinant."""
+    variance = slow * slow
+    noise = white * white
+    p = variance
+    log_determinant = 0.0
+    known_h = -1.0
+    known_n = -1.0
+    a = 0.0
+    b = 0.0
+    mean_variance = 0.0
+    joint = 0.0
+    for i in range(duration.size):
+        h = duration[i]
+        n = count[i]
+        if h != known_h or n != known_n:
+            known_h = h
+            known_n = n
+            b = np.exp(-h / tau)
+            if n > 0.0:
+                x = h / (n * tau)
+                phi = np.exp(-x)
+                gone = -np.expm1(-x)
+                all_gone = -np.expm1(-h / tau)
+                a = phi * all_gone / (n * gone)
+                if n <= _SUMMED:
+                    pairs = n
+                    power = 1.0
+                    for k in range(1, int(n)):
+                        power *= phi
+                        pairs += 2.0 * (n - k) * power
+                else:
+                    pairs = n * (1.0 + phi) / gone - 2.0 * phi * all_gone / (gone * gone)
+                mean_variance = variance * max(pairs / (n * n) - a * a, 0.0)
+                joint = variance * (all_gone / (n * gone) - a * b)
+        if n > 0.0:
+            s = a * a * p + mean_variance + noise / n + extra[i]
+            c = b * a * p + joint
+            g = c / s
+            seen[i] = a
+            passed[i] = b
+            gain[i] = g
+            weight[i] = 1.0 / np.sqrt(s)
+            log_determinant += np.log(s)
+            p = b * b * p + variance * (1.0 - b * b) - g * c
+            if p < 0.0:
+                p = 0.0
+        else:
+            seen[i] = 0.0
+            passed[i] = b
+            gain[i] = 0.0
+            weight[i] = 0.0
+            p = b * b * p + variance * (1.0 - b * b)
+    return log_determinant
+
+
+@njit(cache=True)
+def _whiten(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
+    """Fill the innovations of each row over their standard deviations."""
+    for j in range(rows.shape[0]):
+        state = 0.0
+        for i in range(weight.size):
+            new = rows[j, i] - seen[i] * state
+            out[j, i] = new * weight[i]
+            state = passed[i] * state + gain[i] * new
+
+
+@dataclass(frozen=True, slots=True)
+class Whitener:
+    """The filter that makes a record's noise white and of unit variance."""
+
+    seen: FloatArray
+    passed: FloatArray
+    gain: FloatArray
+    weight: FloatArray
+    log_determinant: float
+
+    def __call__(self, rows: FloatArray) -> FloatArray:
+        """Return the whitened rows, shape (k, n): residuals and derivatives of block means."""
+        out = np.empty(rows.shape)
+        _whiten(self.seen, self.passed, self.gain, self.weight, rows, out)
+        return out
+
+
+def whitener(blocks: Blocks, noise: SensorNoise) -> Whitener:
+    """
+    Return the filter for one record.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        How the record is averaged.
+    noise : SensorNoise
+        The sensor's noise; not zero.
+
+    Returns
+    -------
+    Whitener
+        The filter, with the logarithm of the determinant of the noise's covariance.
+
+    """
+    n = blocks.count.size
+    seen, passed, gain, weight = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    log_determinant = _filter(
+        blocks.duration,
+        blocks.count,
+        blocks.extra,
+        noise.white,
+        noise.slow,
+        noise.correlation_time,
+        seen,
+        passed,
+        gain,
+        weight,
+    )
+    return Whitener(seen, passed, gain, weight, log_determinant)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """
+    What is left of a record after a fit.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        How it is averaged.
+    residual : ndarray, shape (n,)
+        Measured minus model, block by block.
+    shared, own : ndarray, shapes (p, n), (q, n)
+        Derivatives of the model in the parameters that all records share, and in its own.
+
+    """
+
+    blocks: Blocks
+    residual: FloatArray
+    shared: FloatArray
+    own: FloatArray
+
+
+def estimate(records: Sequence[Record], start: SensorNoise, interval: float) -> SensorNoise:
+    """
+    Estimate the noise from the residuals of a fit, by the restricted likelihood.
+
+    The restricted likelihood allows for what the fitted parameters have taken out of the
+    residual, which without it looks quieter and less correlated than the noise is.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The residuals, all of one sensor.
+    start : SensorNoise
+        A first guess of its size.
+    interval : float
+        Usual interval between two samples [s].
+
+    Returns
+    -------
+    SensorNoise
+        The most likely noise.
+
+    """
+    longest = max(float(record.blocks.duration.sum()) for record in records)
+    limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
+
+    def cost(point: FloatArray) -> float:
+        share, log_time = point
+        if not limits[0] <= log_time <= limits[1]:
+            return math.inf
+        return _restricted(records, _split(share, math.exp(log_time), start.std))[0]
+
+    if start.slow > 0.0 and start.white > 0.0:
+        point = np.array(
+            [2.0 * math.log(start.slow / start.white), math.log(start.correlation_time)]
+        )
+        point[1] = np.clip(point[1], *limits)
+        size = 0.4
+    else:
+        times = np.linspace(limits[0] + 1.0, limits[1] - 1.0, 6)
+        grid = [np.array([share, time]) for share in (-3.0, 0.0, 4.0) for time in times]
+        point = min(grid, key=cost)
+        size = 1.0
+    point = _simplex(cost, point, size)
+    relative = _split(point[0], math.exp(point[1]), start.std)
+    _, level = _restricted(records, relative)
+    return SensorNoise(level * relative.white, level * relative.slow, relative.correlation_time)
+
+
+def _split(log_ratio: float, correlation_time: float, std: float) -> SensorNoise:
+    """Return noise of a given size for the logarithm of slow over white variance."""
+    share = 1.0 / (1.0 + math.exp(-min(max(log_ratio, -30.0), 30.0)))
+    return SensorNoise(
+        std * math.sqrt(max(1.0 - share, 1e-12)), std * math.sqrt(share), correlation_time
+    )
+
+
+def _restricted(records: Sequence[Record], noise: SensorNoise) -> tuple[float, float]:
+    """Return minus twice the restricted log likelihood at the best level, and that level."""
+    p = records[0].shared.shape[0]
+    total = p + sum(record.own.shape[0] for record in records)
+    normal = np.zeros((total, total))
+    gradient = np.zeros(total)
+    squares, log_determinant, samples, first = 0.0, 0.0, 0, p
+    for record in records:
+        filter_ = whitener(record.blocks, noise)
+        rows = filter_(np.vstack((record.shared, record.own, record.residual[np.newaxis])))
+        products = rows @ rows.T
+        last = first + record.own.shape[0]
+        place = np.r_[0:p, first:last]
+        normal[np.ix_(place, place)] += products[:-1, :-1]
+        gradient[place] += products[:-1, -1]
+        squares += float(products[-1, -1])
+        log_determinant += filter_.log_determinant
+        samples += int(np.count_nonzero(record.blocks.count))
+        first = last
+    scale = np.sqrt(np.diag(normal))
+    seen = scale > 0.0
+    scale = scale[seen]
+    values, vectors = np.linalg.eigh(normal[np.ix_(seen, seen)] / np.outer(scale, scale))
+    steep = values > 1e-9
+    projected = vectors[:, steep].T @ (gradient[seen] / scale)
+    free = samples - int(np.count_nonzero(steep))
+    left = max(squares - float(projected**2 @ (1.0 / values[steep])), 1e-300)
+    # The columns' own scale belongs to the determinant as well.
+    information = float(np.sum(np.log(values[steep]))) + 2.0 * float(np.sum(np.log(scale)))
+    variance = left / max(free, 1)
+    return free * math.log(variance) + log_determinant + information, math.sqrt(variance)
+
+
+def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, size: float) -> FloatArray:
+    """Return the minimum of a function of two variables, by the method of Nelder and Mead."""
+
+    def scored_at(point: FloatArray) -> tuple[float, tuple[float, ...]]:
+        return cost(point), tuple(point.tolist())
+
+    steps = ((0.0, 0.0), (size, 0.0), (0.0, size))
+    scored = [scored_at(start + np.array(step)) for step in steps]
+    for _ in range(60):
+        scored.sort()
+        corner = [np.array(point) for _, point in scored]
+        spread = max(float(np.abs(corner[2] - corner[0]).max()), 0.0)
+        if scored[2][0] - scored[0][0] < 0.02 or spread < 0.02:
+            break
+        middle = 0.5 * (corner[0] + corner[1])
+        away = middle - corner[2]
+
+        reflected = scored_at(middle + away)
+        if reflected[0] < scored[0][0]:
+            scored[2] = min(reflected, scored_at(middle + 2.0 * away))
+        elif reflected[0] < scored[1][0]:
+            scored[2] = reflected
+        else:
+            reach = 0.5 if reflected[0] < scored[2][0] else -0.5
+            inner = scored_at(middle + reach * away)
+            if inner[0] < min(reflected[0], scored[2][0]):
+                scored[2] = inner
+            else:
+                scored[1:] = [scored_at(0.5 * (corner[0] + far)) for far in corner[1:]]
+    return np.array(min(scored)[1])
