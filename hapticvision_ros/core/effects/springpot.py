@@ -57,8 +57,8 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     share = np.sin(np.pi * left) / np.pi * _STEP
     viscosity = draft.slots[Slot.C2] * REFERENCE_TIME**-left
     below, above = _NODES[0] - _STEP, _NODES[-1] + _STEP
-    flow = share * np.exp(left * below) / (1.0 - np.exp(-left * _STEP))
-    jump = share * np.exp(-alpha * above) / (1.0 - np.exp(-alpha * _STEP))
+    flow = share * np.exp(left * below) / -np.expm1(-left * _STEP)
+    jump = share * np.exp(-alpha * above) / -np.expm1(-alpha * _STEP)
     for x in _NODES:
         stiffness = viscosity * np.exp(alpha * x) / share
         draft.units.append((stiffness, stiffness * np.exp(-x)))

@@ -225,6 +225,10 @@ _TOLERANCE = 1e-7
 _SMALLEST = 1e-16
 """Absolute change of u [m] at which it may."""
 _MOST_ITERATIONS = 60
+_LOOK, _FIRST, _SURE, _LAST, _REST = range(5)
+"""A step, as it is looked at; its first instant; decided; in contact up to the loss; after it."""
+_INSTANT = 1e-2
+"""Share of a step that is its first instant."""
 _SAME = 1e-9
 """Relative difference between two steps that makes none."""
 
@@ -360,6 +364,10 @@ def _respond(  # type: ignore[no-untyped-def]
     dz_max = np.zeros(directions)
     d_speed = np.zeros(directions)
     d_e = np.zeros(directions)
+    d_mean = np.zeros(directions)
+    d_first = np.zeros(directions)
+    d_part = np.zeros(directions)
+    dzu_kept = np.zeros((directions, units))
     dzu = np.zeros((directions, units))
 
     contact = False
@@ -374,6 +382,7 @@ def _respond(  # type: ignore[no-untyped-def]
     swing = 1.0
     d_swing = 0.0
     held = 0.0
+    mean = 0.0
     unit_compliance = 0.0
     # Nothing but the three elements: most trials, most of the time.
     bare = linear and units == 0 and kp == 0.0 and not compliant and not massive
@@ -423,7 +432,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     continue
             u = (d_end - y - (1.0 + bare_flow * k1) * z) * bare_inverse
             total = k1 * z + e * u
-            if contact and total >= -f_ad:
+            if contact and 1.5 * total - 0.5 * force[i - 1] >= -f_ad:
                 for j in range(directions):
                     dfc = dq[j, _K1] * z + k1 * dz[j] + d_e[j] * u
                     dy[j] -= bare_flow * total * c2_inverse * dq[j, _C2]
@@ -457,13 +466,25 @@ def _respond(  # type: ignore[no-untyped-def]
             if gap > 0.0:
                 share = d_end / (d_end + gap)
                 split = True
+        last = 0.0
         if not contact:
             rate = 0.0
+        else:
+            last = force[i - 1]
+        stage = _LOOK
+        force[i] = 0.0
+        for j in range(directions):
+            d_force[j, i] = 0.0
 
-        # Up to three passes: as it was; free where the tool would have to pull; in contact where
-        # the tool catches up with the free surface.
+        # The passes of a step: as it was, and in contact where the tool catches up with the free
+        # surface. Where the contact may end, the force is looked at without consequences, on the
+        # whole step and at its first instant; the contact then ends where the straight line
+        # through both reaches the pull-off force, and the rest of the step is free.
         while True:
             hs = h * share
+            target = d_end
+            if stage == _FIRST or stage == _LAST:
+                target = d[i] + offset + share * (d[i + 1] - d[i])
             if abs(hs - h_known) > _SAME * hs:
                 if plain:
                     e = k1
@@ -506,7 +527,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 total = fc + kp * x_mid
                 total_slope = slope + 0.5 * x_slope * kp
                 if touching:
-                    g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
+                    g = x_end - target + cm * (machine_force + end * (total - machine_force))
                     g_slope = x_slope + cm * end * total_slope
                 else:
                     g = total + inert * (x_end - ahead)
@@ -542,7 +563,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     total = growth * fc + kp * x_mid
                     total_slope = growth * slope + 0.5 * x_slope * (d_growth * fc + kp)
                     if touching:
-                        g = x_end - d_end + cm * (machine_force + end * (total - machine_force))
+                        g = x_end - target + cm * (machine_force + end * (total - machine_force))
                         g_slope = x_slope + cm * end * total_slope
                     elif kp == 0.0 and mass == 0.0:
                         g = fc
@@ -562,152 +583,207 @@ def _respond(  # type: ignore[no-untyped-def]
                 total += total_slope * change
                 middle += 0.5 * change
             pull = (d[i + 1] - d[i]) / h
-            thrust = mass * (pull - speed) / hs
-            if touching and total + thrust < -f_ad:
-                touching = False
-                share = 1.0
-                split = False
-                rate = 0.0
-                contact = True
-                continue
+            thrust = mass * (pull - speed) / (h if stage == _FIRST else hs)
+            probing = stage == _FIRST
+            if touching and stage == _LOOK:
+                mean = total + thrust
+                if 1.5 * mean - 0.5 * last < -f_ad:
+                    if split:
+                        if mean < -f_ad:
+                            touching = False
+                            share = 1.0
+                            split = False
+                            rate = 0.0
+                            contact = True
+                            continue
+                    else:
+                        probing = True
             if not touching and not contact and x_end < d_end:
                 touching = True
                 contact = True
-                gap_start = x - (d[i] + offset)
-                if gap_start > 0.0:
-                    share = (d_end - x_end) / (gap_start + d_end - x_end)
+                if d_end > x > d[i] + offset:
+                    # The surface is taken to wait for the tool.
+                    share = (d_end - x) / (d[i + 1] - d[i])
                     split = True
                 continue
-            break
-        contact = touching
 
-        if directions > 0:
-            stiffening = 1.0 + beta * middle * middle
-            growing = not plain and middle > z_max
-            left = 1.0 - damage * (middle if growing else z_max) / d_ref
-            inverse = 1.0 / g_slope
-            for j in range(directions):
-                dhs = 0.0
-                if split:
-                    dhs = h * (dq[j, _OFF] - dx[j]) / (d[i + 1] - d[i])
-                if plain:
-                    dk = dq[j, _K1]
-                else:
-                    dk = dq[j, _K1] * stiffness / k1 + d_stiffness * dz[j]
-                if not plain or dq[j, _BETA] != 0.0 or dq[j, _D] != 0.0:
-                    dk += k1 * middle * middle * dq[j, _BETA] * left
-                    if middle > z_max:
-                        dk -= k1 * stiffening * dq[j, _D] * middle / d_ref
+            if directions > 0:
+                if probing:
+                    dzu_kept[:] = dzu
+                stiffening = 1.0 + beta * middle * middle
+                growing = not plain and middle > z_max
+                left = 1.0 - damage * (middle if growing else z_max) / d_ref
+                inverse = 1.0 / g_slope
+                for j in range(directions):
+                    dhs = 0.0
+                    if split:
+                        dhs = h * (dq[j, _OFF] - dx[j]) / (d[i + 1] - d[i])
+                    elif stage == _LAST:
+                        dhs = d_part[j]
+                    elif stage == _REST:
+                        dhs = -d_part[j]
+                    if plain:
+                        dk = dq[j, _K1]
                     else:
-                        dk -= k1 * stiffening * (dq[j, _D] * z_max + damage * dz_max[j]) / d_ref
-                if c1 > 0.0:
-                    de = dww * dk + (ww / hs - dww * stiffness / c1) * dq[j, _C1]
-                    de += (dww * stiffness - c1 / hs * ww) / hs * dhs
-                    dfc = dk * z + stiffness * dz[j] + de * u
-                else:
-                    dfc = dk * (z + u) + stiffness * dz[j]
-                d_flow = -flow * c2_inverse * dq[j, _C2] * p
-                if dq[j, _FY] != 0.0:
-                    d_flow -= (fluid if fc > 0.0 else -fluid) * dq[j, _FY]
-                if dq[j, _N] != 0.0 and excess > 0.0:
-                    d_flow -= flow * np.log(excess / (c2 * REFERENCE_RATE)) * p * p * dq[j, _N]
-                d_end_weight = 0.0
-                if compliant and (touching or mass > 0.0):
-                    d_r = d_compliance[j] / (hs * fluidity)
-                    d_r -= compliance / (hs * fluidity) * (d_fluidity[j] / fluidity + dhs / hs)
-                    d_end_weight = d_kappa * d_r
-                d_inert = 0.0
-                d_swing_weight = 0.0
-                if massive and not touching:
-                    d_held = dq[j, _C0] - stiff * dq[j, _K1] / (k1 * k1) + hs * d_fluidity[j]
-                    d_swing_weight = d_swing * (mass * d_held + dq[j, _MASS] * held) / (hs * hs)
-                    d_inert = (d_swing_weight * mass + swing * dq[j, _MASS]) / (hs * hs)
-                d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
-                for k in range(units):
-                    inverse_time = ku[k] / cu[k]
-                    kept = 1.0 - left_u[k]
-                    d_kept = -kept * (
-                        hs * (dku[j, k] - inverse_time * dcu[j, k]) / cu[k] + inverse_time * dhs
-                    )
-                    dzu[j, k] = (
-                        kept * dzu[j, k]
-                        + d_kept * (zu[k] - fc / ku[k])
-                        - left_u[k] / (ku[k] * ku[k]) * dku[j, k] * fc
-                    )
-                    d_sum += dzu[j, k]
-                if c0 > 0.0 or dq[j, _C0] != 0.0:
-                    jump = fc - chain_force
-                    d_sum += dq[j, _C0] * (chain_force + end * jump)
-                    d_sum += c0 * ((1.0 - end) * d_chain_force[j] + d_end_weight * jump)
-                d_sum += (hs * fluid + ce) * dfc
-                d_mid = 0.5 * (dx[j] + d_sum)
-                d_scale = d_growth * d_mid
-                if dq[j, _M] != 0.0 and x_mid > 0.0:
-                    d_scale += growth * np.log(x_mid / d_ref) * dq[j, _M]
-                d_total = growth * dfc + d_scale * fc + kp * d_mid + dq[j, _KP] * x_mid
-                if touching:
-                    dg = d_sum - dq[j, _OFF]
-                    if cm > 0.0 or dq[j, _CM] != 0.0:
-                        jump = total - machine_force
-                        dg += dq[j, _CM] * (machine_force + end * jump)
-                        dg += cm * (
-                            d_machine_force[j]
-                            + end * (d_total - d_machine_force[j])
-                            + d_end_weight * jump
+                        dk = dq[j, _K1] * stiffness / k1 + d_stiffness * dz[j]
+                    if not plain or dq[j, _BETA] != 0.0 or dq[j, _D] != 0.0:
+                        dk += k1 * middle * middle * dq[j, _BETA] * left
+                        if middle > z_max:
+                            dk -= k1 * stiffening * dq[j, _D] * middle / d_ref
+                        else:
+                            dk -= (
+                                k1 * stiffening * (dq[j, _D] * z_max + damage * dz_max[j]) / d_ref
+                            )
+                    if c1 > 0.0:
+                        de = dww * dk + (ww / hs - dww * stiffness / c1) * dq[j, _C1]
+                        de += (dww * stiffness - c1 / hs * ww) / hs * dhs
+                        dfc = dk * z + stiffness * dz[j] + de * u
+                    else:
+                        dfc = dk * (z + u) + stiffness * dz[j]
+                    d_flow = -flow * c2_inverse * dq[j, _C2] * p
+                    if dq[j, _FY] != 0.0:
+                        d_flow -= (fluid if fc > 0.0 else -fluid) * dq[j, _FY]
+                    if dq[j, _N] != 0.0 and excess > 0.0:
+                        d_flow -= flow * np.log(excess / (c2 * REFERENCE_RATE)) * p * p * dq[j, _N]
+                    d_end_weight = 0.0
+                    if compliant and (touching or mass > 0.0):
+                        d_r = d_compliance[j] / (hs * fluidity)
+                        d_r -= compliance / (hs * fluidity) * (d_fluidity[j] / fluidity + dhs / hs)
+                        d_end_weight = d_kappa * d_r
+                    d_inert = 0.0
+                    d_swing_weight = 0.0
+                    if massive and not touching:
+                        d_held = dq[j, _C0] - stiff * dq[j, _K1] / (k1 * k1)
+                        d_held += hs * d_fluidity[j] + (fluidity - 2.0 * held / hs) * dhs
+                        d_swing_weight = (
+                            d_swing * (mass * d_held + dq[j, _MASS] * held) / (hs * hs)
                         )
-                elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive:
-                    dg = dfc
-                else:
-                    dg = d_total + d_inert * (x_end - ahead)
-                    dg += inert * (d_sum - dx[j] - hs * d_speed[j])
-                du = -dg * inverse
-                dfc += slope * du
-                d_total += total_slope * du
-                for k in range(units):
-                    dzu[j, k] += left_u[k] / ku[k] * dfc
-                if middle > z_max:
-                    dz_max[j] = dz[j] + 0.5 * du
-                dz[j] += du
-                dy[j] += dhs * flow + hs * (d_flow + fluid * dfc)
-                d_ahead = dx[j] + hs * d_speed[j]
-                dx[j] = d_sum + x_slope * du
-                if massive and not touching:
-                    d_speed[j] += swing / hs * (dx[j] - d_ahead)
-                    d_speed[j] += d_swing_weight / hs * (x_end - ahead)
-                if touching or mass > 0.0:
-                    d_chain_force[j] += end * (dfc - d_chain_force[j])
-                    d_chain_force[j] += d_end_weight * (fc - chain_force)
-                else:
-                    d_chain_force[j] = dfc
-                if touching:
-                    d_machine_force[j] += end * (d_total - d_machine_force[j])
-                    d_machine_force[j] += d_end_weight * (total - machine_force)
-                    d_force[j, i] = d_total * share + total * dhs / h
-                    d_force[j, i] += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
-                    d_speed[j] = 0.0
-                else:
-                    d_machine_force[j] = 0.0
-                    d_force[j, i] = 0.0
-                d_surface[j, i + 1] = dx[j]
+                        d_inert = (d_swing_weight * mass + swing * dq[j, _MASS]) / (hs * hs)
+                        d_inert -= 2.0 * inert / hs * dhs
+                    d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
+                    for k in range(units):
+                        inverse_time = ku[k] / cu[k]
+                        kept = 1.0 - left_u[k]
+                        d_kept = -kept * (
+                            hs * (dku[j, k] - inverse_time * dcu[j, k]) / cu[k]
+                            + inverse_time * dhs
+                        )
+                        dzu[j, k] = (
+                            kept * dzu[j, k]
+                            + d_kept * (zu[k] - fc / ku[k])
+                            - left_u[k] / (ku[k] * ku[k]) * dku[j, k] * fc
+                        )
+                        d_sum += dzu[j, k]
+                    if c0 > 0.0 or dq[j, _C0] != 0.0:
+                        jump = fc - chain_force
+                        d_sum += dq[j, _C0] * (chain_force + end * jump)
+                        d_sum += c0 * ((1.0 - end) * d_chain_force[j] + d_end_weight * jump)
+                    d_sum += (hs * fluid + ce) * dfc
+                    d_mid = 0.5 * (dx[j] + d_sum)
+                    d_scale = d_growth * d_mid
+                    if dq[j, _M] != 0.0 and x_mid > 0.0:
+                        d_scale += growth * np.log(x_mid / d_ref) * dq[j, _M]
+                    d_total = growth * dfc + d_scale * fc + kp * d_mid + dq[j, _KP] * x_mid
+                    if touching:
+                        dg = d_sum - dq[j, _OFF]
+                        if stage == _LAST:
+                            dg -= pull * dhs
+                        if cm > 0.0 or dq[j, _CM] != 0.0:
+                            jump = total - machine_force
+                            dg += dq[j, _CM] * (machine_force + end * jump)
+                            dg += cm * (
+                                d_machine_force[j]
+                                + end * (d_total - d_machine_force[j])
+                                + d_end_weight * jump
+                            )
+                    elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive:
+                        dg = dfc
+                    else:
+                        dg = d_total + d_inert * (x_end - ahead)
+                        dg += inert * (d_sum - dx[j] - hs * d_speed[j] - dhs * speed)
+                    du = -dg * inverse
+                    dfc += slope * du
+                    d_total += total_slope * du
+                    if probing:
+                        d_probe = d_total + (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
+                        if stage == _FIRST:
+                            d_first[j] = d_probe
+                        else:
+                            d_mean[j] = d_probe
+                        continue
+                    for k in range(units):
+                        dzu[j, k] += left_u[k] / ku[k] * dfc
+                    dz[j] += du
+                    if z + u > z_max:
+                        dz_max[j] = dz[j]
+                    dy[j] += dhs * flow + hs * (d_flow + fluid * dfc)
+                    d_ahead = dx[j] + hs * d_speed[j] + dhs * speed
+                    dx[j] = d_sum + x_slope * du
+                    if massive and not touching:
+                        d_speed[j] += swing / hs * (dx[j] - d_ahead)
+                        d_speed[j] += (d_swing_weight - swing * dhs / hs) / hs * (x_end - ahead)
+                    if touching or mass > 0.0:
+                        d_chain_force[j] += end * (dfc - d_chain_force[j])
+                        d_chain_force[j] += d_end_weight * (fc - chain_force)
+                    else:
+                        d_chain_force[j] = dfc
+                    if touching:
+                        d_machine_force[j] += end * (d_total - d_machine_force[j])
+                        d_machine_force[j] += d_end_weight * (total - machine_force)
+                        d_force[j, i] = d_total * share + total * dhs / h
+                        d_force[j, i] += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
+                        d_speed[j] = 0.0
+                    else:
+                        d_machine_force[j] = 0.0
+                    d_surface[j, i + 1] = dx[j]
 
-        for k in range(units):
-            zu[k] += left_u[k] * (fc / ku[k] - zu[k])
-        if middle > z_max:
-            z_max = middle
-        z += u
-        y += hs * flow
-        rate = u / hs
-        if touching or mass > 0.0:
-            chain_force += end * (fc - chain_force)
-        else:
-            chain_force = fc
-        if touching:
-            machine_force += end * (total - machine_force)
-            force[i] = (total + thrust) * share
-            speed = pull
-        else:
-            machine_force = 0.0
-            force[i] = 0.0
-            speed += swing / hs * (x_end - ahead)
-        x = x_end
-        surface[i + 1] = x_end
+            if probing:
+                if directions > 0:
+                    dzu[:] = dzu_kept
+                if stage == _LOOK:
+                    stage = _FIRST
+                    share = _INSTANT
+                    continue
+                first = total + thrust
+                share = 1.0
+                if first <= -f_ad:
+                    touching = False
+                    rate = 0.0
+                    stage = _SURE
+                elif 2.0 * mean - first >= -f_ad:
+                    stage = _SURE
+                else:
+                    stage = _LAST
+                    share = 0.5 * (first + f_ad) / (first - mean)
+                    for j in range(directions):
+                        change = d_first[j] * (0.5 - share) + 0.5 * dq[j, _FAD] + share * d_mean[j]
+                        d_part[j] = h * change / (first - mean)
+                continue
+            for k in range(units):
+                zu[k] += left_u[k] * (fc / ku[k] - zu[k])
+            z += u
+            if z > z_max:
+                z_max = z
+            y += hs * flow
+            rate = u / hs
+            if touching or mass > 0.0:
+                chain_force += end * (fc - chain_force)
+            else:
+                chain_force = fc
+            if touching:
+                machine_force += end * (total - machine_force)
+                force[i] = (total + thrust) * share
+                speed = pull
+            else:
+                machine_force = 0.0
+                speed += swing / hs * (x_end - ahead)
+            x = x_end
+            surface[i + 1] = x_end
+            contact = touching
+            if stage != _LAST:
+                break
+            stage = _REST
+            share = 1.0 - share
+            touching = False
+            contact = True
+            rate = 0.0

@@ -1,0 +1,110 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a model is: names, bounds, the vector of the fit."""
+
+from collections.abc import Callable
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.effects.declaration import Scale
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.models.three_element import respond, ThreeElement
+import numpy as np
+import pytest
+
+
+def test_the_order_of_the_effects_is_that_of_the_registry() -> None:
+    model = Model(('friction', 'yield_force'))
+    assert model.effects == ('yield_force', 'friction')
+    assert model == Model(('yield_force', 'friction'))
+    assert model.name == 'three-element+yield_force+friction'
+    assert model.names == ('K1', 'C1', 'C2', 'F_y', 'F_c')
+    assert model.units == ('N/m', 'N.s/m', 'N.s/m', 'N', 'N')
+    assert Model.parse(model.name) == model
+    assert Model.parse('three-element') == Model()
+
+
+def test_two_parameters_of_one_symbol_are_told_apart() -> None:
+    model = Model(('ageing', 'force_drift'))
+    assert model.names[3:] == ('ageing.rate', 'force_drift.rate')
+
+
+@pytest.mark.parametrize(
+    ('name', 'message'),
+    [
+        ('three-element+gravity', 'there is no effect'),
+        ('two-element', 'there is no model'),
+        ('three-element+damage+damage', 'named twice'),
+        ('three-element+springpot+yield_force', 'choose one'),
+        ('three-element+shear_thinning+springpot', 'choose one'),
+    ],
+)
+def test_what_is_no_model_is_said_in_one_sentence(name: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Model.parse(name)
+
+
+def test_theta_holds_the_logarithm_of_what_has_a_scale() -> None:
+    model = Model(('series_spring', 'yield_force'))
+    values = np.array([5000.0, 84000.0, 107000.0, 3.0, np.inf])
+    theta = model.theta(values)
+    assert theta[:3] == pytest.approx(np.log(values[:3]))
+    assert theta[3] == 3.0
+    assert model.values(theta) == pytest.approx(values)
+    assert not model.log[3]
+    assert model.log[4]
+
+
+def test_the_first_guess_is_within_the_bounds(scale: Scale) -> None:
+    for effects in ((), ('springpot', 'inertia'), ('second_retardation', 'force_lag')):
+        model = Model(effects)
+        lower, upper = model.bounds
+        guess = model.first_guess(scale)
+        assert np.all((lower <= guess) & (guess <= upper))
+        assert lower.shape == guess.shape == (len(model.names),)
+
+
+def test_the_base_model_is_the_exact_three_element_model(driven: Callable, scale: Scale) -> None:
+    trial = driven(2e-3)
+    prediction = Model().predict(trial, Model().first_guess(scale), directions=False)
+    exact = respond(
+        ThreeElement(scale.K1, scale.C1, scale.C2),
+        trial.t[:-1] + 1e-3,
+        np.array([0.0, 1.003, 9.0, 20.0, 30.0]),
+        1e-3 * np.array([0.0, 0.0, 10.0, 10.0, 10.0]),
+    )
+    held = (trial.t[:-1] > 1.01) & (trial.t[1:] < 20.0)
+    error = np.abs(prediction.force - exact.force)[held]
+    # The mid-point rule at 2 ms, against a relaxation time of 38 s.
+    assert error.max() < 1e-7 * exact.force.max()
+
+
+def test_no_derivatives_are_made_where_none_are_asked_for(driven: Callable, scale: Scale) -> None:
+    model = Model(('force_lag', 'clock_offset', 'yield_force'))
+    theta = model.first_guess(scale)
+    bare = model.predict(driven(), theta, directions=False)
+    full = model.predict(driven(), theta)
+    assert bare.d_force.shape[0] == bare.d_height.shape[0] == 0
+    assert full.d_force.shape == (7, full.force.size)
+    assert full.d_height.shape == (7, full.height.size)
+    assert np.array_equal(bare.force, full.force)
+    assert np.array_equal(bare.height, full.height)
+
+
+def test_heights_before_and_after_the_trial_are_held(driven: Callable, scale: Scale) -> None:
+    trial = driven()
+    object.__setattr__(trial, 'height_t', np.array([-5.0, 10.0, 49.0, 80.0]))
+    height = Model().predict(trial, Model().first_guess(scale)).height
+    assert height[0] == 0.0
+    assert height[3] == pytest.approx(height[2], rel=0.05)
