@@ -33,7 +33,9 @@ over the step and, by it, everything else; one scalar, monotone equation says th
 add up to the tool's displacement. The mean force over a step is what a load cell reports that
 averages between its samples. It is preferred to the force at the step's ends because the force of
 a chain without K_0 jumps with the tool's speed, and an end-point rule of second order answers a
-jump with an undamped ringing. Kelvin-Voigt units are advanced by their exact solution under
+jump with an undamped ringing. The first unit and the flow unit are
+advanced by their exact solution under a tool of constant speed, or free of force, which makes the
+three-element model exact for steps of any length; further Kelvin-Voigt units by theirs under
 a constant force; the compliances K_0 and K_m by the exponentially fitted rule, which is the
 trapezoidal rule for a short step and the implicit Euler rule for a long one.
 
@@ -234,16 +236,28 @@ _SAME = 1e-9
 
 
 @njit(cache=True, inline='always', error_model='numpy')
-def _memory_weight(x):  # type: ignore[no-untyped-def]
-    """Return x / (1 - exp(-x)) and its derivative."""
+def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
+    """
+    Return e in F_mean = k z + e u, its slope in k, and k x b'(x) for its others.
+
+    It is e = k b(x) + C1 / h, b(x) = 1 / (1 - exp(-x)) - 1 / x, x = h k / against: exact while z
+    falls back by k against that viscosity, which is C1 + C2 where the tool holds the chain and C1
+    where it is free; b is 1/2, the mid-point rule, for a short step.
+    """
+    if against == 0.0:
+        return k, 1.0, 0.0
+    x = h * k / against
     if x < 0.3:
         # The closed form loses digits here; the next term of the series is below 1e-12.
         x2 = x * x
-        value = 1.0 + 0.5 * x + x2 * (1.0 / 12.0 - x2 * (1.0 / 720.0 - x2 / 30240.0))
-        return value, 0.5 + x * (1.0 / 6.0 - x2 * (1.0 / 180.0 - x2 / 5040.0))
-    e = np.exp(-x)
-    m = 1.0 - e
-    return x / m, (m - x * e) / (m * m)
+        value = 0.5 + x * (1.0 / 12.0 - x2 * (1.0 / 720.0 - x2 * (1.0 / 30240.0 - x2 / 1209600.0)))
+        slope = 1.0 / 12.0 - x2 * (1.0 / 240.0 - x2 * (1.0 / 6048.0 - x2 / 172800.0))
+    else:
+        kept = np.exp(-x)
+        gone = 1.0 - kept
+        value = 1.0 / gone - 1.0 / x
+        slope = 1.0 / (x * x) - kept / (gone * gone)
+    return k * value + c1 / h, value + x * slope, k * x * slope
 
 
 @njit(cache=True, error_model='numpy')
@@ -266,8 +280,8 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline='always', error_model='numpy')
-def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore[no-untyped-def]
-    """Return mean force, its slope in u, stiffness, its slope in z, weight, its slope, middle."""
+def _retarded_unit(u, z, z_max, h, k1, c1, against, beta, damage, d_ref):  # type: ignore[no-untyped-def]
+    """Return mean force, its slope in u, stiffness, its slope in z, the weight's two, middle."""
     middle = z + 0.5 * u
     stiffening = 1.0 + beta * middle * middle
     if middle > z_max:
@@ -278,11 +292,8 @@ def _retarded_unit(u, z, z_max, h, k1, c1, beta, damage, d_ref):  # type: ignore
         d_left = 0.0
     k = k1 * stiffening * left
     dk = k1 * (2.0 * beta * middle * left + stiffening * d_left)
-    if c1 > 0.0:
-        w, dw = _memory_weight(k * h / c1)
-        e = c1 / h * w
-        return k * z + e * u, e + 0.5 * dk * (z + dw * u), k, dk, w, dw, middle
-    return k * (z + u), k + 0.5 * dk * (z + u), k, dk, 0.0, 0.0, middle
+    e, e_k, e_x = _memory_weight(k, c1, h, against)
+    return k * z + e * u, e + 0.5 * dk * (z + e_k * u), k, dk, e_k, e_x, middle
 
 
 @njit(cache=True, inline='always', error_model='numpy')
@@ -374,9 +385,11 @@ def _respond(  # type: ignore[no-untyped-def]
     virgin = True
     rate = 0.0
     h_known = -1.0
-    w = 1.0
-    dw = 0.0
     e = k1
+    e_k = 1.0
+    e_x = 0.0
+    against = c1
+    bound_to_tool = False
     kappa = 1.0
     d_kappa = 0.0
     swing = 1.0
@@ -405,18 +418,16 @@ def _respond(  # type: ignore[no-untyped-def]
             if abs(h - bare_h) > _SAME * h:
                 bare_h = h
                 h_known = -1.0
-                e = k1
-                w = 0.0
-                dw = 0.0
-                if c1 > 0.0:
-                    w, dw = _memory_weight(k1 * h / c1)
-                    e = c1 / h * w
+                against = c1 + c2 if contact else c1
+                e, e_k, e_x = _memory_weight(k1, c1, h, against)
                 bare_flow = h * c2_inverse
                 bare_inverse = 1.0 / (1.0 + bare_flow * e)
                 for j in range(directions):
-                    d_e[j] = dw * dq[j, _K1]
-                    if c1 > 0.0:
-                        d_e[j] += (w / h - dw * k1 / c1) * dq[j, _C1]
+                    d_e[j] = e_k * dq[j, _K1] + dq[j, _C1] / h
+                    if contact:
+                        d_e[j] -= e_x / against * (dq[j, _C1] + dq[j, _C2])
+                    elif c1 > 0.0:
+                        d_e[j] -= e_x / against * dq[j, _C1]
             if not contact:
                 u = -k1 / e * z
                 if z + u + y >= d_end:
@@ -483,14 +494,13 @@ def _respond(  # type: ignore[no-untyped-def]
         while True:
             hs = h * share
             target = d_end
-            if stage == _FIRST or stage == _LAST:
+            if stage in (_FIRST, _LAST):
                 target = d[i] + offset + share * (d[i + 1] - d[i])
-            if abs(hs - h_known) > _SAME * hs:
+            if abs(hs - h_known) > _SAME * hs or bound_to_tool != (touching or mass > 0.0):
+                bound_to_tool = touching or mass > 0.0
+                against = c1 + c2 if bound_to_tool else c1
                 if plain:
-                    e = k1
-                    if c1 > 0.0:
-                        w, dw = _memory_weight(k1 * hs / c1)
-                        e = c1 / hs * w
+                    e, e_k, e_x = _memory_weight(k1, c1, hs, against)
                 unit_compliance = 0.0
                 for k in range(units):
                     left_u[k] = -np.expm1(-ku[k] * hs / cu[k])
@@ -501,7 +511,6 @@ def _respond(  # type: ignore[no-untyped-def]
                     held = c0 + stiff / k1 + hs * fluidity
                     swing, d_swing = _end_weight(mass * held / (hs * hs))
                 h_known = hs
-                bare_h = -1.0
             end = kappa if touching or mass > 0.0 else 1.0
             inert = swing * mass / (hs * hs)
             ahead = x + hs * speed
@@ -513,8 +522,6 @@ def _respond(  # type: ignore[no-untyped-def]
             d_growth = 0.0
             stiffness = k1
             d_stiffness = 0.0
-            ww = w
-            dww = dw
             if linear:
                 fc = k1 * z
                 slope = e
@@ -547,8 +554,8 @@ def _respond(  # type: ignore[no-untyped-def]
                         fc = k1 * z + e * u
                         slope = e
                     else:
-                        fc, slope, stiffness, d_stiffness, ww, dww, middle = _retarded_unit(
-                            u, z, z_max, hs, k1, c1, beta, damage, d_ref
+                        fc, slope, stiffness, d_stiffness, e_k, e_x, middle = _retarded_unit(
+                            u, z, z_max, hs, k1, c1, against, beta, damage, d_ref
                         )
                     flow, fluid, excess = _flow_unit(fc, c2, f_y, p)
                     x_end = rest + u + hs * flow + ce * fc
@@ -634,12 +641,12 @@ def _respond(  # type: ignore[no-untyped-def]
                             dk -= (
                                 k1 * stiffening * (dq[j, _D] * z_max + damage * dz_max[j]) / d_ref
                             )
-                    if c1 > 0.0:
-                        de = dww * dk + (ww / hs - dww * stiffness / c1) * dq[j, _C1]
-                        de += (dww * stiffness - c1 / hs * ww) / hs * dhs
-                        dfc = dk * z + stiffness * dz[j] + de * u
-                    else:
-                        dfc = dk * (z + u) + stiffness * dz[j]
+                    de = e_k * dk + dq[j, _C1] / hs + (e_x - c1 / hs) / hs * dhs
+                    if bound_to_tool:
+                        de -= e_x / against * (dq[j, _C1] + dq[j, _C2])
+                    elif c1 > 0.0:
+                        de -= e_x / against * dq[j, _C1]
+                    dfc = dk * z + stiffness * dz[j] + de * u
                     d_flow = -flow * c2_inverse * dq[j, _C2] * p
                     if dq[j, _FY] != 0.0:
                         d_flow -= (fluid if fc > 0.0 else -fluid) * dq[j, _FY]
@@ -780,6 +787,7 @@ def _respond(  # type: ignore[no-untyped-def]
             x = x_end
             surface[i + 1] = x_end
             contact = touching
+            bare_h = -1.0
             if stage != _LAST:
                 break
             stage = _REST

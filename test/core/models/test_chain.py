@@ -1,0 +1,472 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The chain against an integration of its own equations, closed forms, and thermodynamics.
+
+The reference shares no code with the chain: scipy's Radau on the differential equations, with the
+work of the force as a state, so that its mean over a step is exact.
+"""
+
+from dataclasses import dataclass, field
+import math
+
+from hapticvision_ros.core.effects.declaration import Draft
+from hapticvision_ros.core.effects.springpot import EFFECT as SPRINGPOT
+from hapticvision_ros.core.effects.springpot import REFERENCE_TIME
+from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.models.three_element import respond as respond_exactly
+from hapticvision_ros.core.models.three_element import ThreeElement
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.special import gamma
+
+K1, C1, C2 = 5000.0, 20000.0, 60000.0
+DEPTH = 0.010
+NONE = np.zeros(0)
+KNOT_T = np.array([0.0, 5.0, 15.0, 40.0])
+KNOT_D = np.array([0.0, DEPTH, DEPTH, 0.004])
+"""A push, a hold and a slow withdrawal, in which contact is lost."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The numbers of a chain, in the reader's words."""
+
+    K1: float = K1
+    C1: float = C1
+    C2: float = C2
+    F_y: float = 0.0
+    n: float = 1.0
+    beta: float = 0.0
+    D: float = 0.0
+    K_0: float = math.inf
+    K_m: float = math.inf
+    K_p: float = 0.0
+    m: float = 0.0
+    F_ad: float = 0.0
+    M: float = 0.0
+    units: tuple[tuple[float, float], ...] = field(default=())
+
+    def chain(self) -> Chain:
+        """Return it as the integrator reads it."""
+        slots = neutral()
+        slots[Slot.K1], slots[Slot.C1], slots[Slot.C2] = self.K1, self.C1, self.C2
+        slots[Slot.YIELD_FORCE], slots[Slot.FLOW_INDEX] = self.F_y, self.n
+        slots[Slot.STIFFENING], slots[Slot.DAMAGE] = self.beta, self.D
+        slots[Slot.SERIES_COMPLIANCE] = 1.0 / self.K_0
+        slots[Slot.MACHINE_COMPLIANCE] = 1.0 / self.K_m
+        slots[Slot.PARALLEL_STIFFNESS], slots[Slot.CONTACT_EXPONENT] = self.K_p, self.m
+        slots[Slot.REFERENCE_DEPTH], slots[Slot.ADHESION] = DEPTH, self.F_ad
+        slots[Slot.MASS] = self.M
+        units = np.array(self.units).reshape(-1, 2)
+        return Chain(slots, units[:, 0].copy(), units[:, 1].copy())
+
+    def flow(self, force: float) -> float:
+        """Return the rate of the flow unit."""
+        excess = max(abs(force) - self.F_y, 0.0)
+        return math.copysign(1e-3 * (excess / (self.C2 * 1e-3)) ** (1.0 / self.n), force)
+
+    def rates(self, force: float, state: np.ndarray) -> np.ndarray:
+        """Return the rates of z, z_max, y and the further units under a chain force."""
+        z, z_max = state[0], state[1]
+        stiffness = self.K1 * (1.0 + self.beta * z * z) * (1.0 - self.D * z_max / DEPTH)
+        dz = (force - stiffness * z) / self.C1
+        growing = z >= z_max - 1e-12 and dz > 0.0
+        further = [(force - k * zu) / c for (k, c), zu in zip(self.units, state[3:], strict=True)]
+        return np.array([dz, dz if growing else 0.0, self.flow(force), *further])
+
+    def speed(self, force: float, state: np.ndarray) -> float:
+        """Return how fast the parts of the chain, K_0 apart, give way together."""
+        rates = self.rates(force, state)
+        return float(rates[0] + rates[2:].sum())
+
+    def force_at_speed(self, speed: float, state: np.ndarray) -> float:
+        """Return the chain force that makes them give way at a speed."""
+        reach = 1e3
+        while self.speed(reach, state) < speed or self.speed(-reach, state) > speed:
+            reach *= 4.0
+        return float(brentq(lambda f: self.speed(f, state) - speed, -reach, reach, xtol=1e-12))
+
+    def growth(self, height: float) -> float:
+        """Return the factor of the contact patch."""
+        return max(height, 0.0) ** self.m / DEPTH**self.m if self.m else 1.0
+
+
+def _reference(body: Body, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return mean forces over the steps, the surface at their ends, and the time of the loss."""
+    parts = 3 + len(body.units)
+    elastic = math.isfinite(body.K_0) or math.isfinite(body.K_m)
+
+    def height(state: np.ndarray, force: float) -> float:
+        return float(state[0] + state[2:parts].sum() + force / body.K_0)
+
+    def held(_: float, s: np.ndarray, speed: float) -> np.ndarray:
+        # The states: z, z_max, y, further units, chain force (where it is one), impulse.
+        if elastic:
+            force = s[parts]
+            rates = body.rates(force, s[:parts])
+            given = rates[0] + rates[2:].sum()
+            # v = H' + (F + K_p H)' / K_m and H' = given + F' / K_0.
+            d_force = (speed - given * (1.0 + body.K_p / body.K_m)) / (
+                1.0 / body.K_m + (1.0 + body.K_p / body.K_m) / body.K_0
+            )
+        else:
+            force = body.force_at_speed(speed, s[:parts])
+            rates = body.rates(force, s[:parts])
+            d_force = 0.0
+        return np.array([*rates, d_force, contact(force, s)])
+
+    def contact(force: float, s: np.ndarray) -> float:
+        h = height(s[:parts], force)
+        return body.growth(h) * force + body.K_p * h
+
+    def lost(_: float, s: np.ndarray, speed: float) -> float:
+        force = s[parts] if elastic else body.force_at_speed(speed, s[:parts])
+        return contact(force, s) + body.F_ad
+
+    def free(_: float, s: np.ndarray) -> np.ndarray:
+        force = 0.0
+        if body.K_p > 0.0:
+            # The parallel spring presses the chain flat.
+            h0 = height(s[:parts], 0.0)
+            force = -body.K_p * h0 / (1.0 + body.K_p / body.K_0)
+        return np.array([*body.rates(force, s[:parts]), 0.0, 0.0])
+
+    lost.terminal = True  # type: ignore[attr-defined]
+    lost.direction = -1.0  # type: ignore[attr-defined]
+    state = np.zeros(parts + 2)
+    impulse, surface = np.zeros(t.size), np.zeros(t.size)
+    options = {'method': 'Radau', 'rtol': 1e-8, 'atol': 1e-13, 'dense_output': True}
+    if body.D:
+        options['max_step'] = 0.05
+    t_loss = math.inf
+    for start, stop, low, high in zip(
+        KNOT_T[:-1], KNOT_T[1:], KNOT_D[:-1], KNOT_D[1:], strict=True
+    ):
+        speed = (high - low) / (stop - start)
+        with np.errstate(over='ignore'):
+            # A slider at rest has no slope: Radau widens its difference in vain.
+            run = solve_ivp(held, (start, stop), state, args=(speed,), events=lost, **options)
+        inside = (t > start) & (t <= run.t[-1])
+        if not inside.any():
+            break
+        states = run.sol(t[inside])
+        impulse[inside] = states[-1]
+        surface[inside] = states[0] + states[2:parts].sum(axis=0) + states[parts] / body.K_0
+        state = run.y[:, -1]
+        if run.status == 1 and start > 0.0:
+            t_loss = run.t[-1]
+            break
+    if math.isfinite(t_loss):
+        after = t > t_loss
+        impulse[after] = state[-1]
+        run = solve_ivp(free, (t_loss, t[-1]), state, **options)
+        states = run.sol(t[after])
+        heights = states[0] + states[2:parts].sum(axis=0)
+        forces = -body.K_p * heights / (1.0 + body.K_p / body.K_0)
+        surface[after] = heights + forces / body.K_0
+    return np.diff(impulse) / np.diff(t), surface, t_loss
+
+
+BODIES = {
+    'base': Body(),
+    'slider': Body(F_y=6.0),
+    'series spring': Body(K_0=2e4),
+    'parallel spring': Body(K_p=300.0),
+    'second unit': Body(units=((15000.0, 9000.0),)),
+    'stiffening': Body(beta=3e4),
+    'thinning': Body(n=0.6),
+    'growth': Body(m=0.5),
+    'damage': Body(D=0.4),
+    'machine': Body(K_m=3e4),
+    'adhesion': Body(F_ad=1.0),
+    'adhesion on a spring': Body(F_ad=1.0, K_0=2e4),
+    'slider on a stiffening spring in a soft machine': Body(F_y=4.0, beta=3e4, K_m=3e4),
+    'two springs': Body(K_0=3e4, K_m=5e4, K_p=200.0),
+    'thinning with a second unit': Body(n=0.7, units=((15000.0, 9000.0),)),
+}
+COARSE = {'growth': 3e-3, 'damage': 3e-4}
+"""Of the largest force: the factor (H / d_ref)^m has no derivative at the touch, and the damage is
+that of the largest stretch at the end of the step before."""
+
+
+@pytest.mark.parametrize('name', BODIES)
+def test_force_and_surface_are_those_of_the_equations(name: str) -> None:
+    body = BODIES[name]
+    t = np.linspace(0.0, 40.0, 4001)
+    force, surface, t_loss = _reference(body, t)
+    found = respond(t, np.interp(t, KNOT_T, KNOT_D), body.chain())
+    error = np.abs(found.force - force)
+    # The error of a scheme of second order with steps of 10 ms; at the loss the last instants of
+    # contact are one trapezium.
+    bound = COARSE.get(name, 3e-5)
+    near = np.abs(t[1:] - t_loss) < 0.03
+    assert error[~near].max() < bound * force.max()
+    assert error.max() < max(bound, 2e-3) * force.max() + body.F_ad * 0.1
+    away = np.abs(t - t_loss) > 0.03
+    assert np.abs(found.surface - surface)[away].max() < bound * DEPTH
+    if math.isfinite(t_loss):
+        assert not found.force[t[:-1] > t_loss + 0.02].any()
+
+
+@pytest.mark.parametrize('name', ['series spring', 'second unit', 'thinning', 'machine'])
+def test_half_the_step_is_a_quarter_of_the_error(name: str) -> None:
+    body = BODIES[name]
+    errors = []
+    for n in (25, 50, 100):
+        t = np.linspace(0.0, 15.0, 3 * n + 1)
+        force, _, _ = _reference(body, t)
+        found = respond(t, np.interp(t, KNOT_T, KNOT_D), body.chain()).force
+        # Corners apart, at whose first instants a fast force is not resolved.
+        smooth = (np.abs(t[1:] - 5.0) > 0.5) & (t[1:] > 0.5)
+        errors.append(np.abs(found - force)[smooth].max())
+    assert errors[1] < errors[0] / 2.8
+    assert errors[2] < errors[1] / 3.3
+
+
+def test_the_base_is_the_exact_model_of_the_paper_through_push_hold_and_recovery() -> None:
+    # Eqs. (8), (10) and (12), in the closed form of the three-element model.
+    t = np.linspace(0.0, 100.0, 20001)
+    knot_t, knot_d = np.array([0.0, 5.0, 35.0, 35.5, 100.0]), DEPTH * np.array([0, 1, 1, -1, -1.0])
+    found = respond(t, np.interp(t, knot_t, knot_d), Body().chain())
+    exact = respond_exactly(ThreeElement(K1, C1, C2), t, knot_t, knot_d)
+    between = respond_exactly(ThreeElement(K1, C1, C2), t[:-1] + 2.5e-3, knot_t, knot_d)
+    assert exact.t_loss == 35.0
+    # The force in the middle of a step is its mean but for (h / T)^2 / 24.
+    assert np.abs(found.force - between.force).max() < 1e-6 * between.force.max()
+    assert np.abs(found.surface - exact.height).max() < 1e-6 * DEPTH
+
+
+def test_the_three_elements_are_exact_for_steps_of_any_length() -> None:
+    knots = np.array([0.0, 1.0, 5.0, 12.0, 15.0, 35.0, 35.1, 60.0, 100.0])
+    d = np.interp(knots, [0.0, 5.0, 35.0, 35.1, 100.0], DEPTH * np.array([0, 1, 1, -1, -1.0]))
+    fine = np.unique(np.concatenate([knots, np.linspace(0.0, 100.0, 50001)]))
+    for body in (Body(), Body(C1=1e-3), Body(C1=0.0)):
+        coarse = respond(knots, d, body.chain())
+        resolved = respond(fine, np.interp(fine, knots, d), body.chain())
+        impulse = np.concatenate([[0.0], np.cumsum(resolved.force * np.diff(fine))])
+        means = np.diff(impulse[np.searchsorted(fine, knots)]) / np.diff(knots)
+        # Where C1 is nothing, what is left is the instant of the loss.
+        assert np.allclose(coarse.force[:5], means[:5], rtol=1e-9)
+        at = np.searchsorted(fine, knots)
+        assert np.allclose(coarse.surface, resolved.surface[at], rtol=0.0, atol=1e-3 * DEPTH)
+
+
+def test_a_step_is_answered_by_the_maxwell_branch() -> None:
+    # A tool that is down within 1 us: F decays from k d with the relaxation time of eq. (9).
+    t = np.concatenate([[0.0, 1e-6], 1e-6 + np.linspace(0.01, 60.0, 6000)])
+    d = np.full(t.size, DEPTH)
+    d[0] = 0.0
+    found = respond(t, d, Body().chain()).force[1:]
+    body = ThreeElement(K1, C1, C2)
+    middle = 0.5 * (t[1:-1] + t[2:])
+    assert np.allclose(found, body.k * DEPTH * np.exp(-middle / body.relaxation_time), rtol=1e-6)
+
+
+def test_the_reduction_of_each_slot_is_continuous() -> None:
+    # Towards zero strength the answer goes to the base, in proportion to the strength.
+    t = np.linspace(0.0, 30.0, 3001)
+    d = np.interp(t, KNOT_T, KNOT_D)
+    base = respond(t, d, Body().chain())
+    for weak, weaker in (
+        (Body(F_y=1e-3), Body(F_y=1e-4)),
+        (Body(n=1.0 - 1e-4), Body(n=1.0 - 1e-5)),
+        (Body(beta=10.0), Body(beta=1.0)),
+        (Body(D=1e-4), Body(D=1e-5)),
+        (Body(K_p=0.1), Body(K_p=0.01)),
+        (Body(m=1e-4), Body(m=1e-5)),
+        (Body(K_0=1e9), Body(K_0=1e10)),
+        (Body(K_m=1e9), Body(K_m=1e10)),
+        (Body(units=((1e9, 1e9),)), Body(units=((1e10, 1e10),))),
+    ):
+        far, near = (
+            np.abs(respond(t, d, body.chain()).force - base.force).sum() for body in (weak, weaker)
+        )
+        assert far == pytest.approx(10.0 * near, rel=0.05)
+        assert near < 1e-4 * base.force.sum()
+
+
+def _mittag_leffler(x: np.ndarray, alpha: float, beta: float) -> np.ndarray:
+    """Return E_{alpha,beta}(-x) by its power series, for x of order one."""
+    terms = np.arange(120)
+    return np.sum(
+        (-1.0) ** terms * x[:, np.newaxis] ** terms / gamma(alpha * terms + beta), axis=1
+    )
+
+
+@pytest.mark.parametrize('alpha', [0.4, 0.7, 0.95])
+def test_a_spring_and_a_springpot_relax_as_mittag_leffler(alpha: float) -> None:
+    # G(t) = K E_alpha(-(t / T)^alpha), T^alpha = c / K, under a ramp and a hold.
+    draft = Draft()
+    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = K1, 0.0, C2
+    assert SPRINGPOT.shape is not None
+    SPRINGPOT.shape(draft, [complex(alpha)], None)  # type: ignore[arg-type]
+    units = np.array(draft.units).real
+    chain = Chain(draft.slots.real.copy(), units[:, 0].copy(), units[:, 1].copy())
+    t = np.linspace(0.0, 12.0, 4801)
+    found = respond(t, np.interp(t, [0.0, 4.0, 12.0], [0.0, DEPTH, DEPTH]), chain).force
+    spread = C2 * REFERENCE_TIME ** (alpha - 1.0) / K1
+
+    def ramp(since: np.ndarray) -> np.ndarray:
+        since = np.maximum(since, 0.0)
+        x = since**alpha / spread
+        return K1 * DEPTH / 4.0 * since * _mittag_leffler(x, alpha, 2.0)
+
+    middle = 0.5 * (t[1:] + t[:-1])
+    expected = ramp(middle) - ramp(middle - 4.0)
+    smooth = (np.abs(middle - 4.0) > 0.02) & (middle > 0.02)
+    # The sum of exponentials is good to 1e-3 (its docstring), the steps to less.
+    assert np.abs(found - expected)[smooth].max() < 1e-3 * expected.max()
+
+
+@pytest.mark.parametrize('alpha', [0.05, 0.3, 0.6, 0.9, 0.99])
+def test_the_creep_of_the_exponentials_is_the_power_law(alpha: float) -> None:
+    draft = Draft()
+    assert SPRINGPOT.shape is not None
+    SPRINGPOT.shape(draft, [complex(alpha)], None)  # type: ignore[arg-type]
+    t = np.geomspace(1e-3, 1e3, 200)
+    creep = draft.slots[Slot.SERIES_COMPLIANCE].real + t / draft.slots[Slot.C2].real
+    for stiffness, viscosity in draft.units:
+        creep += -np.expm1(-t * (stiffness / viscosity).real) / stiffness.real
+    exact = t**alpha * REFERENCE_TIME ** (1.0 - alpha) / gamma(1.0 + alpha)
+    assert np.abs(creep / exact - 1.0).max() < 1e-3
+
+
+@pytest.mark.parametrize('viscosity', [0.0, 2.0, 40.0])
+def test_a_freed_mass_vibrates_as_its_equation_says(viscosity: float) -> None:
+    # M H'' = -F, F = K1 z + C1 z' = C2 y', after a tool that leaves at once.
+    body = Body(C1=viscosity, C2=2000.0, M=0.2)
+    t = np.arange(0.0, 1.0, 2e-4)
+    d = np.interp(t, [0.0, 0.3, 0.5, 0.5002, 1.0], DEPTH * np.array([0.0, 1.0, 1.0, -5.0, -5.0]))
+    found = respond(t, d, body.chain())
+    held = respond(t, np.minimum(np.interp(t, [0.0, 0.3], [0.0, DEPTH]), DEPTH), body.chain())
+    start = round(0.5 / 2e-4)
+    force = held.force[start - 1]
+    if viscosity:
+        r = body.C2 / (body.C1 + body.C2)
+        z0 = force / (r * K1)
+    else:
+        z0 = force / K1
+
+    def motion(_: float, s: np.ndarray) -> list[float]:
+        z, y, speed = s
+        if viscosity:
+            f = (speed + K1 * z / body.C1) / (1.0 / body.C1 + 1.0 / body.C2)
+            return [(f - K1 * z) / body.C1, f / body.C2, -f / body.M]
+        f = K1 * z
+        return [speed - f / body.C2, f / body.C2, -f / body.M]
+
+    run = solve_ivp(
+        motion,
+        (0.5, 1.0),
+        [z0, DEPTH - z0, 0.0],
+        method='Radau',
+        rtol=1e-10,
+        atol=1e-14,
+        t_eval=t[start:],
+    )
+    expected = run.y[0] + run.y[1]
+    swing = np.ptp(expected)
+    crossings = np.count_nonzero(np.diff(np.sign(np.diff(expected))))
+    assert crossings >= 5, 'it vibrates'
+    # Half a step of lateness at the release and 2e-3 (h w)^2 of the phase in 10 periods.
+    assert np.abs(found.surface[start:] - expected).max() < 2e-2 * swing
+
+
+def test_without_a_mass_the_free_surface_does_not_vibrate() -> None:
+    t = np.arange(0.0, 1.0, 2e-4)
+    d = np.interp(t, [0.0, 0.3, 0.5, 0.5002, 1.0], DEPTH * np.array([0.0, 1.0, 1.0, -5.0, -5.0]))
+    surface = respond(t, d, Body(C1=40.0).chain()).surface
+    assert np.all(np.diff(surface[t > 0.501]) <= 0.0)
+
+
+strength = strategies.floats(0.0, 1.0)
+
+
+@given(
+    sizes=strategies.tuples(*(strategies.floats(-1.0, 1.0) for _ in range(3))),
+    strengths=strategies.tuples(*(strength for _ in range(9))),
+    path=strategies.lists(strategies.floats(-0.5, 1.0), min_size=3, max_size=7),
+)
+@settings(max_examples=150, deadline=None)
+def test_no_body_gives_back_more_work_than_was_done_on_it(
+    sizes: tuple[float, ...], strengths: tuple[float, ...], path: list[float]
+) -> None:
+    a = strengths
+    body = Body(
+        K1=K1 * 10.0 ** sizes[0],
+        C1=C1 * 10.0 ** sizes[1],
+        C2=C2 * 10.0 ** sizes[2],
+        F_y=10.0 * a[0],
+        n=1.0 - 0.6 * a[1],
+        beta=3e4 * a[2],
+        D=0.5 * a[3],
+        K_0=2e4 / (a[4] + 1e-3),
+        K_m=2e4 / (a[5] + 1e-3),
+        K_p=500.0 * a[6],
+        F_ad=3.0 * a[7],
+        units=((15000.0, 9000.0),) if a[8] > 0.5 else (),
+    )
+    knots = np.linspace(0.0, 20.0, len(path) + 2)
+    t = np.linspace(0.0, 20.0, 2001)
+    d = np.interp(t, knots, DEPTH * np.array([0.0, *path, -1.0]))
+    found = respond(t, d, body.chain())
+    assert np.isfinite(found.force).all()
+    assert np.isfinite(found.surface).all()
+    # What the tool has done up to any time is stored or lost, never negative. In the step of the
+    # touch and of the loss the tool moves further than it pushes: that much is the steps'.
+    work = np.concatenate([[0.0], np.cumsum(found.force * np.diff(d))])
+    touches = np.count_nonzero(np.diff((found.force != 0.0).astype(int)))
+    slack = np.abs(found.force).max(initial=0.0) * np.abs(np.diff(d)).max() * (touches + 1)
+    assert work.min() >= -slack
+
+
+def test_a_tool_in_air_meets_nothing() -> None:
+    t = np.linspace(0.0, 5.0, 501)
+    found = respond(t, np.full(t.size, -1e-3), Body().chain(), (Body().chain(),))
+    for array in (found.force, found.surface, found.force_tangent, found.surface_tangent):
+        assert not array.any()
+
+
+def test_the_touch_may_fall_anywhere_within_a_step() -> None:
+    # The mean force over the step of the touch grows with the square of what is left of the step
+    # for a spring, and is continuous as the touch crosses the step's end.
+    t = np.linspace(0.0, 1.0, 101)
+    impulses = []
+    for touch in np.linspace(0.495, 0.515, 81):
+        d = 1e-3 * (t - touch)
+        impulses.append(respond(t, d, Body().chain()).force.sum())
+    steps = np.diff(impulses)
+    assert np.all(steps < 0.0)
+    assert steps.min() > 1.5 * steps.max()
+    assert steps.max() / steps.min() > 0.5
+
+
+def test_the_tool_catches_up_with_the_surface_that_it_left() -> None:
+    t = np.linspace(0.0, 60.0, 6001)
+    d = np.interp(
+        t, [0.0, 5.0, 15.0, 15.5, 30.0, 33.0, 60.0], DEPTH * np.array([0, 1, 1, 0, 0, 1.1, 1.1])
+    )
+    found = respond(t, d, Body().chain())
+    free = (t > 16.0) & (t < 30.0)
+    assert not found.force[free[1:]].any()
+    residual = found.surface[np.searchsorted(t, 30.0)]
+    assert 0.0 < residual < DEPTH
+    again = t[1:][(t[1:] > 30.0) & (found.force > 0.0)][0]
+    assert again == pytest.approx(np.interp(residual, [0.0, 1.1 * DEPTH], [30.0, 33.0]), abs=0.05)
+    assert np.allclose(found.surface[t > 33.0], 1.1 * DEPTH)
