@@ -54,12 +54,19 @@ import numpy as np
 
 _ROUNDS: Final = 4
 """Most rounds of noise and parameters."""
+_TOLERANCE: Final = 1e-7
+"""Relative change of the cost that is none: a small part of one in the sum of squares."""
 _SETTLED: Final = 0.03
 """Relative change of the noise at which a further round is not worth it."""
 _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
 _OUTLYING: Final = 6.0
 """Residual, in standard deviations of a sample, from which on a sample is looked at."""
+_ONSET_REACH: Final = 4.0
+_ONSET_ZOOMS: Final = 4
+"""The onset is looked for in this many errors of the detection, and so often more finely."""
+_QUIET: Final = 1e-7
+"""Noise that a sensor has at least, over the largest reading."""
 _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
@@ -511,14 +518,16 @@ def fit_prepared(
     for turn in range(_ROUNDS):
         jumps = problem.jumps(state)
         forces, heights = problem.noise_records(state, jumps)
-        before = force_noise
-        force_noise = estimate(forces, force_noise, usable[0].interval)
+        before, first = force_noise, turn == 0
+        force_noise = estimate(forces, force_noise, usable[0].interval, everywhere=first)
         if heights:
-            height_noise = estimate(heights, height_noise, usable[0].height_interval)
+            height_noise = estimate(
+                heights, height_noise, usable[0].height_interval, everywhere=first
+            )
         problem.set_noise(force_noise, height_noise, jumps)
-        solution = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-9)
+        solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
         state = solution.theta
-        cleaned = _without_outliers(problem, state, force_noise) if turn == 0 else None
+        cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
             problem = Problem(model, cleaned)
             continue
@@ -528,24 +537,36 @@ def fit_prepared(
 
 
 def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
-    """Return white noise that neighbouring samples of each sensor tell of."""
-    force = [_white(t.samples.force[t.samples.good]) for t in trials]
-    height = [_white(t.height) for t in trials if t.height.size > 8]
+    """Return a guess of each sensor's noise: as much slow as white, over some samples."""
+    force, height = [], []
+    for trial in trials:
+        good = trial.samples.good
+        air = np.searchsorted(trial.samples.edges, trial.t_contact) - 2
+        force.append(_guess(trial.samples.force[:air][good[:air]], trial.samples.force[good]))
+        if trial.height.size > 8:
+            early = int(np.searchsorted(trial.height_t, trial.t_contact))
+            height.append(_guess(trial.height[:early], trial.height))
     peak = max(float(np.abs(t.force).max()) for t in trials)
     depth = trials[0].reference_depth
     return (
-        SensorNoise(max(float(np.median(force)), 1e-7 * peak), 0.0, trials[0].interval),
-        SensorNoise(
-            max(float(np.median(height)) if height else 0.0, 1e-7 * depth),
-            0.0,
+        _even(max(float(np.median(force)), _QUIET * peak), trials[0].interval),
+        _even(
+            max(float(np.median(height)) if height else 0.0, _QUIET * depth),
             trials[0].height_interval,
         ),
     )
 
 
-def _white(value: FloatArray) -> float:
-    """Return the noise that second differences show."""
-    curvature = np.abs(np.diff(value[:200_000], 2))
+def _even(std: float, interval: float) -> SensorNoise:
+    """Return noise that is as much slow as white."""
+    return SensorNoise(math.sqrt(0.5) * std, math.sqrt(0.5) * std, 20.0 * interval)
+
+
+def _guess(air: FloatArray, whole: FloatArray) -> float:
+    """Return the scatter without contact, or what neighbouring samples show."""
+    if air.size >= 32:
+        return float(np.std(air))
+    curvature = np.abs(np.diff(whole[:200_000], 2))
     return NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
 
 
@@ -564,9 +585,11 @@ def _search(
     given = {} if start is None else dict(start)
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     state[:3] = base.theta([given.get(name, value) for name, value in values.items()])
-    problem.set_noise(force_noise, height_noise)
-    problem.set_noise(force_noise, height_noise, problem.jumps(state))
-    state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
+    for _ in range(2):
+        _find_onsets(problem, state)
+        # Where the force jumps depends on the onsets.
+        problem.set_noise(force_noise, height_noise, problem.jumps(state))
+        state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
     if not model.effects:
         return problem, state
     K1, C1, C2 = base.values(state[:3])
@@ -599,6 +622,33 @@ def _search(
     if best is None:
         raise UsageError(f'the model {model.name} cannot be evaluated near any start')
     return whole, best.theta
+
+
+def _find_onsets(problem: Problem, state: FloatArray) -> None:
+    """
+    Set the onsets to where the first force of each trial is followed best.
+
+    The force of a dashpot jumps at the touch: a search that goes by slopes does not see which way
+    the jump has to move, as no sample changes before it passes one.
+    """
+    for index, trial in enumerate(problem.trials):
+        place = problem.places[index].start
+        reach = _ONSET_REACH * trial.onset_std
+        near = np.abs(trial.displacement + state[place]) <= 2.0 * reach
+        first, last = np.flatnonzero(near)[[0, -1]]
+        deepest = int(np.argmax(trial.displacement))
+        chosen = slice(first, min(last, deepest))
+        force, count = trial.force[chosen], trial.force_count[chosen]
+        zero = problem.own(state, index)[1]
+        for _ in range(_ONSET_ZOOMS):
+            tried = state[place] + np.linspace(-reach, reach, 9)
+            costs = []
+            for value in tried:
+                state[place] = value
+                predicted = problem.predict(state, index, directions=False).force[chosen]
+                costs.append(float(count @ (predicted + zero - force) ** 2))
+            state[place] = tried[int(np.argmin(costs))]
+            reach /= 3.0
 
 
 def _turn_phases(problem: Problem, state: FloatArray) -> None:

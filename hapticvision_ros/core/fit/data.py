@@ -40,9 +40,12 @@ _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
+_CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _AIR: Final = 0.2
 """The tool's path is followed up to this share of the depth above the first touch."""
+_DETECTION: Final = 0.01
+"""Scatter of the detected touch in any noise, over the depth."""
 _SHALLOW: Final = (0.01, 0.03, 0.1)
 """Shares of the depth over which the first rise of the force is looked at."""
 _BASELINE: Final = 32
@@ -164,7 +167,14 @@ class FitTrial:
 
     def at_full_rate(self) -> 'FitTrial':
         """Return the same trial with one step for each force sample."""
-        return _with_steps(self, np.arange(self.samples.edges.size))
+        samples = self.samples
+        return replace(
+            self,
+            t=samples.edges,
+            displacement=self.path.at(samples.edges),
+            force=samples.force,
+            force_count=samples.good.astype(np.float64),
+        )
 
     def without(self, bad: NDArray[np.bool_]) -> 'FitTrial':
         """Return the same trial with further force samples set aside; `bad` has shape (n,)."""
@@ -362,7 +372,7 @@ def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> 
         # How far the tool goes on until the force stands out of the noise.
         gained = float(rise[-1] - rise[0]) if rise.size < 8 else float(np.ptp(rise))
         error = min(error, 2.0 * share * depth * noise / max(gained, noise))
-    return math.hypot(travelled, path.noise, error)
+    return math.hypot(travelled, path.noise, error, _DETECTION * depth)
 
 
 def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
@@ -404,7 +414,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         knots, levels = _thinned(inner_t, inner_value)
     else:
         times = (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss)
-        breaks = sorted(b for b in times if b is not None and inner_t[1] < b < inner_t[-2])
+        breaks = sorted({b for b in times if b is not None and inner_t[1] < b < inner_t[-2]})
         found = _pieces(inner_t, inner_value, breaks, noise)
         knots, levels = _levels(inner_t, inner_value, _meet(inner_t, inner_value, found, noise))
         if knots.size > _MOST_PIECES:
@@ -512,46 +522,72 @@ def _best_split(t: FloatArray, value: FloatArray, weight: FloatArray) -> int:
     return int(np.argmax(gained)) + 2
 
 
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A line of least squares through the samples between two corners, and its slope's error."""
+
+    level: float
+    slope: float
+    error: float
+
+
+def _piece(t: FloatArray, value: FloatArray, first: int, last: int, noise: float) -> _Piece:
+    """Return the line through some samples, without those at the corners if there are many."""
+    inner = slice(first + 2, last - 2) if last - first >= 8 else slice(first, last)
+    x = t[inner]
+    if x.size < 2:
+        return _Piece(0.0, 0.0, math.inf)
+    level, slope = _line(x, value[inner], np.ones(x.size))
+    return _Piece(level, slope, noise / math.sqrt(float(np.sum((x - x.mean()) ** 2))))
+
+
 def _meet(t: FloatArray, value: FloatArray, corners: Sequence[float], noise: float) -> FloatArray:
     """Return the corners, moved to where their pieces meet; without those that are none."""
     knots = list(corners)
-    for _ in range(2):
-        bounds = np.searchsorted(t, knots)
-        bounds[-1] = t.size
-        lines = []
-        for a, b in pairwise(bounds):
-            inner = slice(a + 2, b - 2) if b - a >= 8 else slice(a, b)
-            x = t[inner]
-            if x.size < 2:
-                lines.append((0.0, 0.0, math.inf))
-                continue
-            level, slope = _line(x, value[inner], np.ones(x.size))
-            spread = float(np.sum((x - x.mean()) ** 2))
-            lines.append((level, slope, noise / math.sqrt(spread)))
-        moved = [knots[0]]
-        for k in range(1, len(knots) - 1):
-            (level_a, slope_a, error_a), (level_b, slope_b, error_b) = lines[k - 1], lines[k]
-            error = math.hypot(error_a, error_b)
-            if not math.isfinite(error):
-                moved.append(knots[k])
-                continue
-            if abs(slope_a - slope_b) <= 4.0 * error:
-                offset = (level_a - level_b) + (slope_a - slope_b) * knots[k]
-                reach = min(knots[k] - knots[k - 1], knots[k + 1] - knots[k])
-                if abs(offset) <= 4.0 * error * reach:
-                    continue
-                moved.append(knots[k])
-                continue
-            meeting = (level_b - level_a) / (slope_a - slope_b)
-            reach = max(
-                float(np.median(np.diff(t))) * 8.0,
-                min(knots[k] - knots[k - 1], knots[k + 1] - knots[k]) * 4.0 / _PATH_BLOCKS,
-            )
-            inside = abs(meeting - knots[k]) <= reach and moved[-1] < meeting < knots[k + 1]
-            moved.append(meeting if inside else knots[k])
-        moved.append(knots[-1])
-        knots = moved
-    return np.array(knots)
+    bounds = [0, *np.searchsorted(t, knots[1:-1]).tolist(), t.size]
+    pieces = [_piece(t, value, a, b, noise) for a, b in pairwise(bounds)]
+    while len(knots) > 2:
+        # One at a time, the least clear first: what is left of two neighbours is clearer.
+        corner_of = zip(knots, knots[1:], knots[2:], pieces, pieces[1:], strict=False)
+        clear = [_clearness(*each) for each in corner_of]
+        least = int(np.argmin(clear))
+        if clear[least] > _CLEAR:
+            break
+        del knots[least + 1], bounds[least + 1]
+        pieces[least] = _piece(t, value, bounds[least], bounds[least + 1], noise)
+        del pieces[least + 1]
+    knots = _moved(t, knots, pieces)
+    # Samples on the wrong side of a corner have bent its pieces.
+    bounds = [0, *np.searchsorted(t, knots[1:-1]).tolist(), t.size]
+    pieces = [_piece(t, value, a, b, noise) for a, b in pairwise(bounds)]
+    return np.array(_moved(t, knots, pieces))
+
+
+def _moved(t: FloatArray, knots: Sequence[float], pieces: Sequence[_Piece]) -> list[float]:
+    """Return the corners, each where its two pieces meet if that is close by."""
+    step = float(np.median(np.diff(t)))
+    moved = [knots[0]]
+    for k in range(1, len(knots) - 1):
+        before, after = pieces[k - 1], pieces[k]
+        meeting = knots[k]
+        if abs(before.slope - after.slope) > _CLEAR * math.hypot(before.error, after.error):
+            meeting = (after.level - before.level) / (before.slope - after.slope)
+        shorter = min(knots[k] - knots[k - 1], knots[k + 1] - knots[k])
+        reach = max(8.0 * step, 4.0 * shorter / _PATH_BLOCKS)
+        inside = abs(meeting - knots[k]) <= reach and moved[-1] < meeting < knots[k + 1]
+        moved.append(meeting if inside else knots[k])
+    return [*moved, knots[-1]]
+
+
+def _clearness(left: float, corner: float, right: float, before: _Piece, after: _Piece) -> float:
+    """Return by how many standard errors two pieces differ, in slope or where they meet."""
+    error = math.hypot(before.error, after.error)
+    if not math.isfinite(error):
+        return 0.0
+    slopes = abs(before.slope - after.slope) / max(error, 1e-300)
+    gap = (before.level - after.level) + (before.slope - after.slope) * corner
+    reach = min(corner - left, right - corner)
+    return max(slopes, abs(gap) / max(error * reach, 1e-300))
 
 
 def _levels(t: FloatArray, value: FloatArray, knots: FloatArray) -> tuple[FloatArray, FloatArray]:

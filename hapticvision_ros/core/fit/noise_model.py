@@ -112,7 +112,8 @@ def _filter(  # type: ignore[no-untyped-def]
     for i in range(duration.size):
         h = duration[i]
         n = count[i]
-        if h != known_h or n != known_n:
+        # Stamps are rounded: almost the same duration has the same filter.
+        if n != known_n or abs(h - known_h) > 1e-6 * h:
             known_h = h
             known_n = n
             b = np.exp(-h / tau)
@@ -237,7 +238,9 @@ class Record:
     own: FloatArray
 
 
-def estimate(records: Sequence[Record], start: SensorNoise, interval: float) -> SensorNoise:
+def estimate(
+    records: Sequence[Record], start: SensorNoise, interval: float, *, everywhere: bool = True
+) -> SensorNoise:
     """
     Estimate the noise from the residuals of a fit, by the restricted likelihood.
 
@@ -249,9 +252,11 @@ def estimate(records: Sequence[Record], start: SensorNoise, interval: float) -> 
     records : sequence of Record
         The residuals, all of one sensor.
     start : SensorNoise
-        A first guess of its size.
+        A first guess.
     interval : float
         Usual interval between two samples [s].
+    everywhere : bool
+        Whether to look for all kinds of noise; otherwise the search stays near `start`.
 
     Returns
     -------
@@ -262,22 +267,23 @@ def estimate(records: Sequence[Record], start: SensorNoise, interval: float) -> 
     longest = max(float(record.blocks.duration.sum()) for record in records)
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
-    def cost(point: FloatArray) -> float:
+    def cost(point: FloatArray, given: Sequence[Record] = records) -> float:
         share, log_time = point
         if not limits[0] <= log_time <= limits[1]:
             return math.inf
-        return _restricted(records, _split(share, math.exp(log_time), start.std))[0]
+        return _restricted(given, _split(share, math.exp(log_time), start.std))[0]
 
-    if start.slow > 0.0 and start.white > 0.0:
-        point = np.array(
-            [2.0 * math.log(start.slow / start.white), math.log(start.correlation_time)]
-        )
-        point[1] = np.clip(point[1], *limits)
-        size = 0.4
-    else:
+    slow, white = max(start.slow, 1e-9 * start.std), max(start.white, 1e-9 * start.std)
+    point = np.array([2.0 * math.log(slow / white), math.log(start.correlation_time)])
+    point[1] = np.clip(point[1], *limits)
+    size = 0.4
+    if everywhere:
+        bare = [
+            Record(r.blocks, r.residual, *(np.zeros((0, r.residual.size)),) * 2) for r in records
+        ]
         times = np.linspace(limits[0] + 1.0, limits[1] - 1.0, 6)
         grid = [np.array([share, time]) for share in (-3.0, 0.0, 4.0) for time in times]
-        point = min(grid, key=cost)
+        point = min((*grid, point), key=lambda at: cost(at, bare))
         size = 1.0
     point = _simplex(cost, point, size)
     relative = _split(point[0], math.exp(point[1]), start.std)
@@ -315,6 +321,9 @@ def _restricted(records: Sequence[Record], noise: SensorNoise) -> tuple[float, f
     scale = np.sqrt(np.diag(normal))
     seen = scale > 0.0
     scale = scale[seen]
+    if scale.size == 0:
+        variance = max(squares, 1e-300) / samples
+        return samples * math.log(variance) + log_determinant, math.sqrt(variance)
     values, vectors = np.linalg.eigh(normal[np.ix_(seen, seen)] / np.outer(scale, scale))
     steep = values > 1e-9
     projected = vectors[:, steep].T @ (gradient[seen] / scale)
@@ -338,7 +347,7 @@ def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, size: float
         scored.sort()
         corner = [np.array(point) for _, point in scored]
         spread = max(float(np.abs(corner[2] - corner[0]).max()), 0.0)
-        if scored[2][0] - scored[0][0] < 0.02 or spread < 0.02:
+        if scored[2][0] - scored[0][0] < 0.1 or spread < 0.02:
             break
         middle = 0.5 * (corner[0] + corner[1])
         away = middle - corner[2]
