@@ -195,7 +195,8 @@ def minimise(
                 break
             new_residual, new_jacobian = model(trial)
             evaluations += 1
-            new_cost = float(new_residual @ new_residual)
+            with np.errstate(over='ignore', invalid='ignore'):
+                new_cost = float(new_residual @ new_residual)
             linear = residual + jacobian @ (trial - theta)
             expected = cost - float(linear @ linear)
             gain = (cost - new_cost) / expected if expected > 0.0 else -1.0
