@@ -222,7 +222,7 @@ _FAD = int(Slot.ADHESION)
 _OFF = int(Slot.OFFSET)
 _MASS = int(Slot.MASS)
 
-_TOLERANCE = 1e-7
+_TOLERANCE = 1e-6
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
 _SMALLEST = 1e-16
 """Absolute change of u [m] at which it may."""
@@ -231,6 +231,10 @@ _LOOK, _FIRST, _SURE, _LAST, _REST = range(5)
 """A step, as it is looked at; its first instant; decided; in contact up to the loss; after it."""
 _INSTANT = 1e-2
 """Share of a step that is its first instant."""
+_NEAR = 5e-3
+"""Relative distance within which six terms of the binomial series are exact to 1e-13."""
+_SHORTEST = 1e-6
+"""Share of a step that a part of it has at least."""
 _SAME = 1e-9
 """Relative difference between two steps that makes none."""
 
@@ -280,7 +284,9 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline='always', error_model='numpy')
-def _retarded_unit(u, z, z_max, h, k1, c1, against, beta, damage, d_ref):  # type: ignore[no-untyped-def]
+def _retarded_unit(  # type: ignore[no-untyped-def]
+    u, z, z_max, h, k1, c1, against, beta, damage, d_ref
+):
     """Return mean force, its slope in u, stiffness, its slope in z, the weight's two, middle."""
     middle = z + 0.5 * u
     stiffening = 1.0 + beta * middle * middle
@@ -296,8 +302,30 @@ def _retarded_unit(u, z, z_max, h, k1, c1, against, beta, damage, d_ref):  # typ
     return k * z + e * u, e + 0.5 * dk * (z + e_k * u), k, dk, e_k, e_x, middle
 
 
+@njit(cache=True, error_model='numpy')
+def _anchor(x, p, series):  # type: ignore[no-untyped-def]
+    """Set out 1 / x, x^p and the binomial coefficients of p, for powers near x."""
+    series[0] = 1.0 / x
+    series[1] = x**p
+    term = 1.0
+    for k in range(1, 7):
+        term *= (p - k + 1.0) / k
+        series[1 + k] = term
+
+
 @njit(cache=True, inline='always', error_model='numpy')
-def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
+def _power(x, p, series):  # type: ignore[no-untyped-def]
+    """Return x^p, by the binomial series where x is near the last anchor."""
+    r = x * series[0] - 1.0
+    if abs(r) > _NEAR:
+        _anchor(x, p, series)
+        return series[1]
+    tail = series[4] + r * (series[5] + r * (series[6] + r * series[7]))
+    return series[1] * (1.0 + r * (series[2] + r * (series[3] + r * tail)))
+
+
+@njit(cache=True, inline='always', error_model='numpy')
+def _flow_unit(force, c2, f_y, p, series):  # type: ignore[no-untyped-def]
     """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
     if f_y == 0.0 and p == 1.0:
         return force / c2, 1.0 / c2, abs(force)
@@ -308,7 +336,7 @@ def _flow_unit(force, c2, f_y, p):  # type: ignore[no-untyped-def]
         rate = excess / c2
         slope = 1.0 / c2
     else:
-        rate = REFERENCE_RATE * (excess / (c2 * REFERENCE_RATE)) ** p
+        rate = REFERENCE_RATE * _power(excess / (c2 * REFERENCE_RATE), p, series)
         slope = p * rate / excess
     if force < 0.0:
         rate = -rate
@@ -367,6 +395,13 @@ def _respond(  # type: ignore[no-untyped-def]
     speed = 0.0
     zu = np.zeros(units)
     left_u = np.zeros(units)
+    softness = 1.0 / ku
+    flow_series = np.zeros(8)
+    growth_series = np.zeros(8)
+    if p != 1.0:
+        _anchor(1.0, p, flow_series)
+    if m != 0.0:
+        _anchor(1.0, m, growth_series)
     dz = np.zeros(directions)
     dy = np.zeros(directions)
     d_chain_force = np.zeros(directions)
@@ -384,6 +419,8 @@ def _respond(  # type: ignore[no-untyped-def]
     contact = False
     virgin = True
     rate = 0.0
+    rate_before = 0.0
+    steady = False
     h_known = -1.0
     e = k1
     e_k = 1.0
@@ -405,6 +442,14 @@ def _respond(  # type: ignore[no-untyped-def]
     bare_h = -1.0
     bare_inverse = 0.0
     bare_flow = 0.0
+    # Any linear chain, when no derivatives are asked for.
+    brisk = linear and directions == 0 and not massive and not bare
+    brisk_h = -1.0
+    brisk_contact = False
+    give = 0.0
+    x_give = 0.0
+    total_give = 0.0
+    inverse = 0.0
     surface[0] = 0.0
     for j in range(directions):
         d_surface[j, 0] = 0.0
@@ -467,6 +512,52 @@ def _respond(  # type: ignore[no-untyped-def]
                 d_force[j, i] = 0.0
                 d_surface[j, i + 1] = 0.0
             continue
+        if brisk and not virgin:
+            if contact != brisk_contact or abs(h - brisk_h) > _SAME * h:
+                brisk_h = h
+                brisk_contact = contact
+                h_known = -1.0
+                against = c1 + c2 if contact else c1
+                e, e_k, e_x = _memory_weight(k1, c1, h, against)
+                kappa = 1.0
+                if contact and compliant:
+                    kappa, d_kappa = _end_weight(compliance / (h * fluidity))
+                give = h * c2_inverse + kappa * c0
+                for k in range(units):
+                    left_u[k] = -np.expm1(-ku[k] * h / cu[k])
+                    give += left_u[k] / ku[k]
+                x_give = 1.0 + give * e
+                total_give = e + 0.5 * x_give * kp
+                inverse = 1.0 / (x_give + cm * kappa * total_give if contact else total_give)
+            fc = k1 * z
+            x_end = z + y + (1.0 - kappa) * c0 * chain_force + give * fc
+            for k in range(units):
+                x_end += zu[k] * (1.0 - left_u[k])
+            total = fc + 0.5 * kp * (x + x_end)
+            if contact:
+                g = x_end - d_end + cm * (machine_force + kappa * (total - machine_force))
+            else:
+                g = total
+            u = -g * inverse
+            x_end += x_give * u
+            total += total_give * u
+            if 1.5 * total - 0.5 * force[i - 1] >= -f_ad if contact else x_end >= d_end:
+                fc += e * u
+                z += u
+                y += h * c2_inverse * fc
+                for k in range(units):
+                    zu[k] += left_u[k] * (fc * softness[k] - zu[k])
+                if contact:
+                    chain_force += kappa * (fc - chain_force)
+                    machine_force += kappa * (total - machine_force)
+                    force[i] = total
+                else:
+                    chain_force = fc
+                    machine_force = 0.0
+                    force[i] = 0.0
+                x = x_end
+                surface[i + 1] = x_end
+                continue
         share = 1.0
         touching = contact
         split = False
@@ -475,12 +566,10 @@ def _respond(  # type: ignore[no-untyped-def]
             touching = True
             gap = -(d[i] + offset)
             if gap > 0.0:
-                share = d_end / (d_end + gap)
-                split = True
+                share = max(d_end / (d_end + gap), _SHORTEST)
+                split = share > _SHORTEST
         last = 0.0
-        if not contact:
-            rate = 0.0
-        else:
+        if contact:
             last = force[i - 1]
         stage = _LOOK
         force[i] = 0.0
@@ -547,7 +636,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 total += total_slope * u
                 middle = z + 0.5 * u
             else:
-                u = rate * hs
+                u = (2.0 * rate - rate_before) * hs
                 for _ in range(_MOST_ITERATIONS):
                     if plain:
                         middle = z + 0.5 * u
@@ -557,7 +646,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         fc, slope, stiffness, d_stiffness, e_k, e_x, middle = _retarded_unit(
                             u, z, z_max, hs, k1, c1, against, beta, damage, d_ref
                         )
-                    flow, fluid, excess = _flow_unit(fc, c2, f_y, p)
+                    flow, fluid, excess = _flow_unit(fc, c2, f_y, p, flow_series)
                     x_end = rest + u + hs * flow + ce * fc
                     x_slope = 1.0 + (hs * fluid + ce) * slope
                     x_mid = 0.5 * (x + x_end)
@@ -565,7 +654,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         growth = 0.0
                         d_growth = 0.0
                         if x_mid > 0.0:
-                            growth = (x_mid / d_ref) ** m
+                            growth = _power(x_mid / d_ref, m, growth_series)
                             d_growth = m * growth / x_mid
                     total = growth * fc + kp * x_mid
                     total_slope = growth * slope + 0.5 * x_slope * (d_growth * fc + kp)
@@ -601,6 +690,7 @@ def _respond(  # type: ignore[no-untyped-def]
                             share = 1.0
                             split = False
                             rate = 0.0
+                            rate_before = 0.0
                             contact = True
                             continue
                     else:
@@ -608,10 +698,12 @@ def _respond(  # type: ignore[no-untyped-def]
             if not touching and not contact and x_end < d_end:
                 touching = True
                 contact = True
+                rate = 0.0
+                rate_before = 0.0
                 if d_end > x > d[i] + offset:
                     # The surface is taken to wait for the tool.
-                    share = (d_end - x) / (d[i + 1] - d[i])
-                    split = True
+                    share = max((d_end - x) / (d[i + 1] - d[i]), _SHORTEST)
+                    split = share > _SHORTEST
                 continue
 
             if directions > 0:
@@ -756,12 +848,14 @@ def _respond(  # type: ignore[no-untyped-def]
                 if first <= -f_ad:
                     touching = False
                     rate = 0.0
+                    rate_before = 0.0
                     stage = _SURE
                 elif 2.0 * mean - first >= -f_ad:
                     stage = _SURE
                 else:
                     stage = _LAST
                     share = 0.5 * (first + f_ad) / (first - mean)
+                    share = min(max(share, _SHORTEST), 1.0 - _SHORTEST)
                     for j in range(directions):
                         change = d_first[j] * (0.5 - share) + 0.5 * dq[j, _FAD] + share * d_mean[j]
                         d_part[j] = h * change / (first - mean)
@@ -772,7 +866,9 @@ def _respond(  # type: ignore[no-untyped-def]
             if z > z_max:
                 z_max = z
             y += hs * flow
+            rate_before = rate if steady else u / hs
             rate = u / hs
+            steady = stage == _LOOK and contact == touching
             if touching or mass > 0.0:
                 chain_force += end * (fc - chain_force)
             else:
@@ -788,6 +884,7 @@ def _respond(  # type: ignore[no-untyped-def]
             surface[i + 1] = x_end
             contact = touching
             bare_h = -1.0
+            brisk_h = -1.0
             if stage != _LAST:
                 break
             stage = _REST
@@ -795,3 +892,4 @@ def _respond(  # type: ignore[no-untyped-def]
             touching = False
             contact = True
             rate = 0.0
+            rate_before = 0.0

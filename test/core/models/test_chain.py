@@ -304,9 +304,8 @@ def test_the_reduction_of_each_slot_is_continuous() -> None:
 def _mittag_leffler(x: np.ndarray, alpha: float, beta: float) -> np.ndarray:
     """Return E_{alpha,beta}(-x) by its power series, for x of order one."""
     terms = np.arange(120)
-    return np.sum(
-        (-1.0) ** terms * x[:, np.newaxis] ** terms / gamma(alpha * terms + beta), axis=1
-    )
+    powers = (-x[:, np.newaxis]) ** terms
+    return np.sum(powers / gamma(alpha * terms + beta), axis=1)
 
 
 @pytest.mark.parametrize('alpha', [0.4, 0.7, 0.95])
@@ -363,8 +362,8 @@ def test_a_freed_mass_vibrates_as_its_equation_says(viscosity: float) -> None:
     else:
         z0 = force / K1
 
-    def motion(_: float, s: np.ndarray) -> list[float]:
-        z, y, speed = s
+    def motion(t: float, s: np.ndarray) -> list[float]:
+        z, _, speed = s
         if viscosity:
             f = (speed + K1 * z / body.C1) / (1.0 / body.C1 + 1.0 / body.C2)
             return [(f - K1 * z) / body.C1, f / body.C2, -f / body.M]
