@@ -33,14 +33,17 @@ over the step and, by it, everything else; one scalar, monotone equation says th
 add up to the tool's displacement. The mean force over a step is what a load cell reports that
 averages between its samples. It is preferred to the force at the step's ends because the force of
 a chain without K_0 jumps with the tool's speed, and an end-point rule of second order answers a
-jump with an undamped ringing. The first unit and the flow unit are
-advanced by their exact solution under a tool of constant speed, or free of force, which makes the
-three-element model exact for steps of any length; further Kelvin-Voigt units by theirs under
-a constant force; the compliances K_0 and K_m by the exponentially fitted rule, which is the
-trapezoidal rule for a short step and the implicit Euler rule for a long one.
+jump with an undamped ringing. The first unit and the flow unit are advanced by their exact
+solution under a tool of constant speed, or free of force, which makes the three-element model
+exact for steps of any length; further Kelvin-Voigt units by theirs under a constant force; the
+compliances K_0 and K_m, and the speed of a freed mass, by the exponentially fitted rule, which is
+the trapezoidal rule for a short step and the implicit Euler rule for a long one.
 
-Touch and loss of contact fall inside steps: a step is split at the touch, so that the force is a
-continuous and differentiable function of the contact offset.
+Touch and loss of contact fall inside steps: a step is split there, so that force and surface are
+continuous and differentiable functions of the contact offset, the pull-off force and all others.
+The mass M takes the tool's speed at the touch and, once free, swings on the chain until the tool
+meets it again; a corner of the tool's path is passed within one step, over which the load cell
+averages the blow.
 
 References
 ----------
@@ -396,6 +399,9 @@ def _respond(  # type: ignore[no-untyped-def]
     zu = np.zeros(units)
     left_u = np.zeros(units)
     softness = 1.0 / ku
+    pace = np.zeros(units)
+    d_softness = -dku * softness * softness
+    d_kept = np.zeros((directions, units))
     flow_series = np.zeros(8)
     growth_series = np.zeros(8)
     if p != 1.0:
@@ -592,8 +598,12 @@ def _respond(  # type: ignore[no-untyped-def]
                     e, e_k, e_x = _memory_weight(k1, c1, hs, against)
                 unit_compliance = 0.0
                 for k in range(units):
-                    left_u[k] = -np.expm1(-ku[k] * hs / cu[k])
+                    pace[k] = ku[k] / cu[k]
+                    left_u[k] = -np.expm1(-pace[k] * hs)
                     unit_compliance += left_u[k] / ku[k]
+                    for j in range(directions):
+                        d_kept[j, k] = hs * (pace[k] * dcu[j, k] - dku[j, k]) / cu[k]
+                        d_kept[j, k] *= 1.0 - left_u[k]
                 if compliant:
                     kappa, d_kappa = _end_weight(compliance / (hs * fluidity))
                 if massive:
@@ -761,16 +771,11 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_inert -= 2.0 * inert / hs * dhs
                     d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
                     for k in range(units):
-                        inverse_time = ku[k] / cu[k]
                         kept = 1.0 - left_u[k]
-                        d_kept = -kept * (
-                            hs * (dku[j, k] - inverse_time * dcu[j, k]) / cu[k]
-                            + inverse_time * dhs
-                        )
                         dzu[j, k] = (
                             kept * dzu[j, k]
-                            + d_kept * (zu[k] - fc / ku[k])
-                            - left_u[k] / (ku[k] * ku[k]) * dku[j, k] * fc
+                            + (d_kept[j, k] - kept * pace[k] * dhs) * (zu[k] - fc * softness[k])
+                            + left_u[k] * d_softness[j, k] * fc
                         )
                         d_sum += dzu[j, k]
                     if c0 > 0.0 or dq[j, _C0] != 0.0:
@@ -811,7 +816,7 @@ def _respond(  # type: ignore[no-untyped-def]
                             d_mean[j] = d_probe
                         continue
                     for k in range(units):
-                        dzu[j, k] += left_u[k] / ku[k] * dfc
+                        dzu[j, k] += left_u[k] * softness[k] * dfc
                     dz[j] += du
                     if z + u > z_max:
                         dz_max[j] = dz[j]
@@ -861,7 +866,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_part[j] = h * change / (first - mean)
                 continue
             for k in range(units):
-                zu[k] += left_u[k] * (fc / ku[k] - zu[k])
+                zu[k] += left_u[k] * (fc * softness[k] - zu[k])
             z += u
             if z > z_max:
                 z_max = z
