@@ -13,3 +13,19 @@
 # limitations under the License.
 
 """Robotic texture analyser: rheological parameters from touch and sight."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hapticvision_ros.api import Campaign, describe, Fit, fit, Model, Trial
+
+__all__ = ['Campaign', 'Fit', 'Model', 'Trial', 'describe', 'fit']
+
+
+def __getattr__(name: str) -> object:
+    """Import the names of the notebook when they are asked for: a node needs none of them."""
+    if name not in __all__:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from hapticvision_ros import api
+
+    return getattr(api, name)

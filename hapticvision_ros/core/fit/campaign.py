@@ -37,7 +37,7 @@ from typing import Final, Protocol
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.data import FitTrial, prepare, suspects
+from hapticvision_ros.core.fit.data import FitTrial, prepare, runs
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.fit.least_squares import minimise, Solution
 from hapticvision_ros.core.fit.noise_model import (
@@ -51,6 +51,7 @@ from hapticvision_ros.core.fit.noise_model import (
 from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
+from numpy.typing import NDArray
 
 _ROUNDS: Final = 4
 """Most rounds of noise and parameters."""
@@ -606,19 +607,23 @@ def _search(
         begin = np.zeros(whole.size)
         begin[: whole.p] = np.clip(model.theta(values_), *model.bounds)
         for old, new in zip(problem.places, whole.places, strict=True):
-            begin[new.start] = state[old.start]
+            # The onsets of the smaller model make up for what it lacks: they start anew.
             # The zeros stand last.
             zeros = np.arange(old.stop - old.start - 1)
             begin[new.stop - 1 - zeros] = state[old.stop - 1 - zeros]
         _turn_phases(whole, begin)
-        try:
-            found = minimise(
-                whole.evaluate, begin, whole.bounds, tolerance=1e-4, max_evaluations=25
-            )
-        except ValueError:
-            continue
-        if best is None or found.cost < best.cost * (1.0 - 1e-6):
-            best = found
+        for _ in range(2):
+            try:
+                found = minimise(
+                    whole.evaluate, begin, whole.bounds, tolerance=1e-4, max_evaluations=25
+                )
+            except ValueError:
+                break
+            if best is None or found.cost < best.cost * (1.0 - 1e-6):
+                best = found
+            # What the model lacked has moved the onsets.
+            begin = found.theta.copy()
+            _find_onsets(whole, begin)
     if best is None:
         raise UsageError(f'the model {model.name} cannot be evaluated near any start')
     return whole, best.theta
@@ -634,12 +639,13 @@ def _find_onsets(problem: Problem, state: FloatArray) -> None:
     for index, trial in enumerate(problem.trials):
         place = problem.places[index].start
         reach = _ONSET_REACH * trial.onset_std
-        near = np.abs(trial.displacement + state[place]) <= 2.0 * reach
+        near = np.abs(trial.displacement) <= 2.0 * reach
         first, last = np.flatnonzero(near)[[0, -1]]
         deepest = int(np.argmax(trial.displacement))
         chosen = slice(first, min(last, deepest))
         force, count = trial.force[chosen], trial.force_count[chosen]
         zero = problem.own(state, index)[1]
+        state[place] = 0.0
         for _ in range(_ONSET_ZOOMS):
             tried = state[place] + np.linspace(-reach, reach, 9)
             costs = []
@@ -731,12 +737,24 @@ def _without_outliers(
         # What a jump known to the sample leaves is no glitch.
         limit = _OUTLYING * np.sqrt(noise.std**2 + 4.0 * _jumps(predicted, full))
         limit = np.maximum(limit, _SMALLEST_GLITCH * float(np.abs(predicted).max()))
-        bad = suspects(residual) & (np.abs(residual) > limit) & trial.samples.good
+        bad = _sudden(residual, (np.abs(residual) > limit) & trial.samples.good)
         if bad.any():
             any_bad = True
             trial = trial.without(bad)
         cleaned.append(trial)
     return tuple(cleaned) if any_bad else None
+
+
+def _sudden(residual: FloatArray, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the runs that start and end at once: what a model lacks comes and goes smoothly."""
+    kept = np.zeros(bad.size, dtype=np.bool_)
+    size = np.abs(residual)
+    for first, last in runs(bad):
+        edge = 0.5 * float(size[first:last].min())
+        before = first == 0 or size[first - 1] < edge
+        after = last == bad.size or size[last] < edge
+        kept[first:last] = before and after
+    return kept
 
 
 def _result(
@@ -836,8 +854,11 @@ def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict
                     value, None, f'the best fit has no {name} at all: it lies on the bound'
                 )
                 continue
+            at = f'{name} = {value:.3g} {parameter.unit}'
+            low = solution.theta[i] == model.bounds[0][i]
             estimates[name] = Estimate.unknown(
-                f'the best fit lies on the bound {name} = {value:.3g} {parameter.unit}'
+                f'these trials only bound it from {"above" if low else "below"}: the best fit '
+                f'goes to the end of its range, {at}'
             )
             continue
         if not math.isfinite(std[i]):

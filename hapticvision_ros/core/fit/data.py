@@ -36,10 +36,13 @@ from numpy.typing import NDArray
 
 _FEWEST: Final = 16
 """A trial with fewer force samples is not fitted."""
+_LONGEST_GLITCH: Final = 16
+"""Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
+_LEFT_SIGMAS: Final = 6.0
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _AIR: Final = 0.2
@@ -335,7 +338,8 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (n,)
-        True where a sample stands out of its neighbourhood.
+        True where a sample, or a few, stand out of their neighbourhood. A longer run can be what
+        an object does, and is left to the residual of a fit.
 
     """
     none = np.zeros(value.size, dtype=np.bool_)
@@ -347,10 +351,19 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     ends = np.flatnonzero(curvature > 8.0 * NORMAL_FROM_MAD * typical)
     if ends.size == 0:
         return none
-    for first in np.unique(ends // 2048) * 2048:
-        low, high = max(0, int(first) - 512), min(value.size, int(first) + 2048 + 512)
-        none[low:high] |= find_glitches(value[low:high])
+    found = np.zeros(value.size, dtype=np.bool_)
+    for start in np.unique(ends // 2048) * 2048:
+        low, high = max(0, int(start) - 512), min(value.size, int(start) + 2048 + 512)
+        found[low:high] |= find_glitches(value[low:high])
+    for first, last in runs(found):
+        none[first:last] = last - first <= _LONGEST_GLITCH
     return none
+
+
+def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and one past last of each run of chosen samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], chosen, [False]))))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
 def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> float:
@@ -417,6 +430,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         breaks = sorted({b for b in times if b is not None and inner_t[1] < b < inner_t[-2]})
         found = _pieces(inner_t, inner_value, breaks, noise)
         knots, levels = _levels(inner_t, inner_value, _meet(inner_t, inner_value, found, noise))
+        knots, levels = _followed(inner_t, inner_value, knots, levels, noise)
         if knots.size > _MOST_PIECES:
             knots, levels = inner_t, inner_value
     return ToolPath(
@@ -430,6 +444,25 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         ),
         noise,
     )
+
+
+def _followed(
+    t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the path through the samples themselves wherever it would leave them."""
+    left = np.abs(value - np.interp(t, knots, levels)) > _LEFT_SIGMAS * noise
+    if not left.any():
+        return knots, levels
+    left[1:] |= left[:-1].copy()
+    left[:-1] |= left[1:].copy()
+    replaced = np.zeros(knots.size, dtype=np.bool_)
+    for first, last in runs(left):
+        replaced |= (knots >= t[first]) & (knots <= t[last - 1])
+    replaced[[0, -1]] = False
+    all_t = np.concatenate((knots[~replaced], t[left]))
+    all_levels = np.concatenate((levels[~replaced], value[left]))
+    order = np.unique(all_t, return_index=True)[1]
+    return all_t[order], all_levels[order]
 
 
 def _encoder_noise(value: FloatArray) -> float:
