@@ -582,15 +582,26 @@ def _search(
     base = Model()
     body = identify(trials)
     problem = Problem(base, trials)
-    state = np.zeros(problem.size)
     given = {} if start is None else dict(start)
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
-    state[:3] = base.theta([given.get(name, value) for name, value in values.items()])
-    for _ in range(2):
-        _find_onsets(problem, state)
-        # Where the force jumps depends on the onsets.
-        problem.set_noise(force_noise, height_noise, problem.jumps(state))
-        state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
+    starts = [values]
+    if any(name in values for name in given):
+        starts.append({name: given.get(name, value) for name, value in values.items()})
+    ends = []
+    for each in starts:
+        state = np.zeros(problem.size)
+        state[:3] = base.theta(list(each.values()))
+        for _ in range(2):
+            _find_onsets(problem, state)
+            # Where the force jumps depends on the onsets.
+            problem.set_noise(force_noise, height_noise, problem.jumps(state))
+            state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
+        problem.set_noise(force_noise, height_noise)
+        residual, _ = problem.evaluate(state)
+        ends.append((float(residual @ residual), state))
+    # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
+    state = min(ends, key=lambda end: end[0])[1]
+    problem.set_noise(force_noise, height_noise, problem.jumps(state))
     if not model.effects:
         return problem, state
     K1, C1, C2 = base.values(state[:3])
