@@ -29,6 +29,7 @@ H. D. Patterson and R. Thompson, Biometrika 58, 1971, 545-554, doi:10.1093/biome
 """
 
 from collections.abc import Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from types import MappingProxyType
@@ -63,6 +64,9 @@ _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
 _OUTLYING: Final = 6.0
 """Residual, in standard deviations of a sample, from which on a sample is looked at."""
+_LOOKS: Final = 7
+_STEPS: Final = 25
+"""Evaluations from each of several starts, then from the best."""
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
 """The onset is looked for in this many errors of the detection, and so often more finely."""
@@ -72,7 +76,7 @@ _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
-_FULL_RATE: Final = frozenset({'periodic_disturbance'})
+_FAST: Final = frozenset({'periodic_disturbance'})
 """Effects that live within the steps that a trial is averaged over."""
 
 
@@ -469,7 +473,7 @@ def fit(
     """
     model = Model() if model is None else model
     pairs = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
-    prepared, warnings = prepare(pairs, full_rate=bool(_FULL_RATE & set(model.effects)))
+    prepared, warnings = prepare(pairs, windows=bool(_FAST & set(model.effects)))
     return fit_prepared(prepared, model, start=start, warnings=warnings)
 
 
@@ -608,10 +612,10 @@ def _search(
     scale = _scale(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
     whole.set_noise(force_noise, height_noise, problem.jumps(state))
-    guess = model.first_guess(scale)
-    best: Solution | None = None
+    guess = model.values(model.first_guess(scale))
+    tried: list[Solution] = []
     for factor in (1.0, 0.1, 0.01, 10.0):
-        values_ = model.values(guess)
+        values_ = guess.copy()
         values_[3:] *= factor
         for name, value in given.items():
             values_[model.names.index(name)] = value
@@ -622,22 +626,26 @@ def _search(
             # The zeros stand last.
             zeros = np.arange(old.stop - old.start - 1)
             begin[new.stop - 1 - zeros] = state[old.stop - 1 - zeros]
+        if tried and not guess[3:].any():
+            break
         _turn_phases(whole, begin)
-        for _ in range(2):
-            try:
-                found = minimise(
-                    whole.evaluate, begin, whole.bounds, tolerance=1e-4, max_evaluations=25
+        with contextlib.suppress(ValueError):
+            tried.append(
+                minimise(
+                    whole.evaluate, begin, whole.bounds, tolerance=1e-3, max_evaluations=_LOOKS
                 )
-            except ValueError:
-                break
-            if best is None or found.cost < best.cost * (1.0 - 1e-6):
-                best = found
-            # What the model lacked has moved the onsets.
-            begin = found.theta.copy()
-            _find_onsets(whole, begin)
-    if best is None:
+            )
+    if not tried:
         raise UsageError(f'the model {model.name} cannot be evaluated near any start')
-    return whole, best.theta
+    best = min(tried, key=lambda found: found.cost)
+    best = minimise(
+        whole.evaluate, best.theta, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS
+    )
+    # What the model lacked has moved the onsets.
+    again = best.theta.copy()
+    _find_onsets(whole, again)
+    moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
+    return whole, min((best, moved), key=lambda found: found.cost).theta
 
 
 def _find_onsets(problem: Problem, state: FloatArray) -> None:
@@ -720,7 +728,7 @@ def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:
 def _line_spectrum(problem: Problem, state: FloatArray) -> tuple[float, float]:
     """Return amplitude [N] and frequency [Hz] of the strongest line in the residual force."""
     total = np.empty(0)
-    length = min(65536, *(t.samples.force.size for t in problem.trials))
+    length = min(t.samples.force.size for t in problem.trials)
     for index, trial in enumerate(problem.trials):
         full = trial.at_full_rate()
         residual = full.force - problem.predict(state, index, full, directions=False).force

@@ -40,6 +40,9 @@ _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
+_WINDOW: Final = 512
+_WINDOW_EVERY: Final = 8192
+"""Samples in a window at the full rate, and from one to the next."""
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
 _LEFT_SIGMAS: Final = 6.0
@@ -187,7 +190,7 @@ class FitTrial:
 
 
 def prepare(
-    trials: Sequence[tuple[Trial, Segmentation]], *, full_rate: bool = False
+    trials: Sequence[tuple[Trial, Segmentation]], *, windows: bool = False
 ) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
     """
     Return trials in the form that the fit works with.
@@ -196,8 +199,9 @@ def prepare(
     ----------
     trials : sequence of (Trial, Segmentation)
         A campaign.
-    full_rate : bool
-        Whether each force sample has a step of its own everywhere.
+    windows : bool
+        Whether each force sample has a step of its own not only near events but also in windows
+        all over the trial, for what is faster than the steps elsewhere.
 
     Returns
     -------
@@ -211,12 +215,12 @@ def prepare(
     warnings: list[str] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
     for trial, phases in trials:
-        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9)
+        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
             continue
-        prepared.append(made.at_full_rate() if full_rate else made)
+        prepared.append(made)
     deepest = max((float(t.path.displacement.max()) for t in prepared if t is not None), default=1)
     return (
         tuple(t if t is None else replace(t, reference_depth=deepest) for t in prepared),
@@ -224,7 +228,9 @@ def prepare(
     )
 
 
-def _prepare(trial: Trial, phases: Segmentation, campaign_time: float) -> FitTrial | str:
+def _prepare(
+    trial: Trial, phases: Segmentation, campaign_time: float, windows: bool
+) -> FitTrial | str:
     """Return one trial, or why it cannot be used."""
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:
@@ -277,11 +283,13 @@ def _prepare(trial: Trial, phases: Segmentation, campaign_time: float) -> FitTri
     if path.t.size <= 4 * _MOST_PIECES:
         inner = path.t[(path.t > touch) & (path.t < edges[-1])]
         events += inner.tolist()
-        return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval))
+        return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.at_full_rate()
 
 
-def _steps(edges: FloatArray, events: FloatArray, interval: float) -> NDArray[np.intp]:
+def _steps(
+    edges: FloatArray, events: FloatArray, interval: float, windows: bool
+) -> NDArray[np.intp]:
     """Return which edges remain: sparse far from the events, and all of them near these."""
     middle = 0.5 * (edges[1:] + edges[:-1])
     distance = np.full(middle.size, np.inf)
@@ -292,6 +300,8 @@ def _steps(edges: FloatArray, events: FloatArray, interval: float) -> NDArray[np
     distance[known] = np.minimum(distance[known], events[after[known]] - middle[known])
     # Samples per step, integrated: an edge stays wherever the sum passes a whole number.
     density = 1.0 / np.maximum(_GROWTH * distance / interval, 1.0)
+    if windows:
+        density[np.arange(density.size) % _WINDOW_EVERY < _WINDOW] = 1.0
     progress = np.floor(np.cumsum(density) + 1e-9)
     kept = np.flatnonzero(np.diff(progress) > 0.0) + 2
     return np.unique(np.concatenate(([0, 1], kept, [edges.size - 1])))

@@ -1,0 +1,178 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Bench: one relaxation curve of 2,000 points, fitted by this package and by its peers in one run.
+
+The curve is that of a three-element body pushed for a second and held, with 1 % noise. A fit is
+judged by its distance from the noise-free force over the hold. Peers that know only a step of the
+displacement get the hold alone, from the largest force on; those that take any history get the
+whole. Run it with ``OMP_NUM_THREADS=1``. The peers are optional: ``pip install rheojax pyvisco
+hermes-rheo scipy``; one that is not there is left out, with a sentence.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+import importlib.util
+from statistics import median
+import time
+
+from closed_form import Body, Cell, record
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.fit.campaign import fit
+from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.start import identify
+from hapticvision_ros.core.records import Signal
+from hapticvision_ros.core.segmentation import segment
+import numpy as np
+
+BODY = Body(K1=2000.0, C1=1600.0, C2=18400.0)
+SPEED, DEPTH, RATE, DURATION = 0.005, 0.005, 100.0, 20.0
+
+
+class Curve:
+    """The recorded trial, and the truth of its hold."""
+
+    def __init__(self) -> None:
+        cell = Cell(
+            rate=RATE,
+            tool_rate=RATE,
+            hold=DURATION - 2.0,
+            release=False,
+            force_noise=0.0,
+            encoder_noise=0.0,
+            force_zero=0.0,
+            height_noise=1e-5,
+        )
+        clean = record(BODY, cell, SPEED, DEPTH, (0, 0))
+        peak = float(clean.force.value.max())
+        noise = 0.01 * peak * np.random.default_rng(1).standard_normal(len(clean.force))
+        self.t = clean.force.t
+        self.truth = clean.force.value
+        self.force = clean.force.value + noise
+        self.peak = peak
+        self.trial = replace(clean, force=Signal(self.t, self.force), displacement_height=None)
+        self.phases = segment(self.trial.force, self.trial.tool_height, None)
+        # Two samples after the tool has come to rest.
+        self.hold = self.t > (self.phases.t_hold or 0.0) + 2.0 / RATE
+
+    def error(self, fitted: np.ndarray) -> float:
+        """Return the distance of a fitted hold from the truth, over the peak."""
+        return float(np.sqrt(np.mean((fitted - self.truth[self.hold]) ** 2))) / self.peak
+
+
+def whole_fit(curve: Curve) -> np.ndarray:
+    """Fit force and noise, with covariance, from the signals to the parameters."""
+    result = fit([(curve.trial, curve.phases)], Model())
+    trial = result.trials[0]
+    assert trial is not None
+    # The reading, with the zero that was found: what the others fit as well.
+    zero = curve.phases.force_zero + (trial.values['force_zero'].value or 0.0)
+    return np.interp(curve.t[curve.hold], trial.force.t, trial.force_fitted) + zero
+
+
+def identity(curve: Curve) -> np.ndarray:
+    """Fit the force by the linear identity alone, without errors."""
+    prepared, _ = prepare([(curve.trial, curve.phases)])
+    trial = prepared[0]
+    assert trial is not None
+    body = identify([trial])
+    model = Model()
+    theta = model.theta([body.K1, body.C1, body.C2])
+    force = model.predict(trial.at_full_rate(), theta, directions=False).force
+    return force[curve.hold] + curve.phases.force_zero
+
+
+def two_exponentials(curve: Curve) -> np.ndarray:
+    """Fit a relaxation with a constant by scipy's curve_fit, to the hold."""
+    from scipy.optimize import curve_fit
+
+    t = curve.t[curve.hold] - curve.t[curve.hold][0]
+
+    def model(t: np.ndarray, a: float, b: float, c: float) -> np.ndarray:
+        return a + b * np.exp(-t / c)
+
+    found, _ = curve_fit(model, t, curve.force[curve.hold], p0=(0.0, curve.peak, 5.0))
+    return model(t, *found)
+
+
+def any_history(curve: Curve) -> np.ndarray:
+    """Fit the three elements under the recorded history by scipy: odeint inside least_squares."""
+    from scipy.integrate import odeint
+    from scipy.optimize import least_squares
+
+    t = curve.t
+    speed = np.gradient(curve.trial.tool_height.value, t) * -1.0
+    touched = t >= (curve.phases.t_contact or 0.0)
+    speed = np.where(touched, speed, 0.0)
+
+    def model(theta: np.ndarray) -> np.ndarray:
+        k1, c1, c2 = np.exp(theta)
+        z = odeint(
+            lambda z, at: (c2 * np.interp(at, t, speed) - k1 * z) / (c1 + c2), 0.0, t, hmax=0.02
+        )[:, 0]
+        return k1 * z + c1 * (c2 * speed - k1 * z) / (c1 + c2)
+
+    start = np.log([1000.0, 1000.0, 10000.0])
+    found = least_squares(lambda theta: model(theta) - curve.force, start, method='lm')
+    return model(found.x)[curve.hold]
+
+
+def rheojax(curve: Curve) -> np.ndarray:
+    """Fit the Zener model of rheojax to the hold."""
+    from rheojax.models import Zener
+
+    t = curve.t[curve.hold] - curve.t[curve.hold][0] + 1.0 / RATE
+    model = Zener()
+    model.fit(t, curve.force[curve.hold], test_mode='relaxation')
+    return np.asarray(model.predict(t, test_mode='relaxation'))
+
+
+PEERS: tuple[tuple[str, str | None, Callable[[Curve], np.ndarray]], ...] = (
+    ('this: whole fit, noise, covariance', None, whole_fit),
+    ('this: linear identity only', None, identity),
+    ('scipy curve_fit, hold only', 'scipy', two_exponentials),
+    ('scipy odeint, any history', 'scipy', any_history),
+    ('rheojax Zener, hold only', 'rheojax', rheojax),
+)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--repeats', type=int, default=5, help='fits of which the median counts')
+    args = parser.parse_args()
+    curve = Curve()
+    print(f'{curve.t.size} points; median CPU time of {args.repeats} warm fits')
+    print(f'{"fit":<38}{"time":>11}{"over first":>12}{"error":>9}')
+    reference = None
+    for name, package, work in PEERS:
+        if package is not None and importlib.util.find_spec(package) is None:
+            print(f'{name:<38} left out: {package} is not installed (pip install {package})')
+            continue
+        fitted = work(curve)
+        times = []
+        for _ in range(args.repeats):
+            start = time.process_time()
+            work(curve)
+            times.append(time.process_time() - start)
+        spent = median(times)
+        reference = spent if reference is None else reference
+        error = 100.0 * curve.error(fitted)
+        print(f'{name:<38}{spent * 1e3:>8.1f} ms{spent / reference:>12.2f}{error:>7.3f} %')
+
+
+if __name__ == '__main__':
+    main()

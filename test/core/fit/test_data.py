@@ -1,0 +1,131 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The steps of a trial and the tool's path through its encoders' noise."""
+
+from dataclasses import replace
+
+from hapticvision_ros.core.fit.data import prepare, suspects, tool_path
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
+import numpy as np
+import pytest
+
+PHASES = Segmentation(1.0, 3.0, 13.0, 13.1, 20.0, 0.04, 0.0, 0.003, 0.006)
+
+
+def _tool(t: np.ndarray, corners: list[float], depths: list[float]) -> np.ndarray:
+    return np.interp(t, corners, depths)
+
+
+CORNERS, DEPTHS = [0.0, 3.0003, 13.0004, 20.0], [-0.003, 0.006, 0.006, -0.344]
+
+
+def test_the_speed_of_a_straight_path_is_known_far_better_than_from_differences() -> None:
+    """Encoders of 5 um at 500 Hz: the push's speed to 0.01 %, its corner to 0.5 ms."""
+    t = np.arange(0.0, 20.0, 0.002)
+    noise = 5e-6 * np.random.default_rng(0).standard_normal(t.size)
+    path = tool_path(Signal(t, _tool(t, CORNERS, DEPTHS) + noise), PHASES)
+    speed = np.diff(path.at(np.array([1.0, 2.9])))[0] / 1.9
+    assert speed == pytest.approx(0.009 / 3.0003, rel=1e-4)
+    assert np.min(np.abs(path.t - 3.0003)) < 5e-4
+    assert path.noise == pytest.approx(5e-6, rel=0.1)
+    # Nothing but the corners: a straight line is one piece.
+    assert path.t.size <= 8
+
+
+def test_a_curved_path_is_followed_within_the_noise() -> None:
+    """A withdrawal under force control bends; no straight piece would do."""
+    t = np.arange(0.0, 20.0, 0.002)
+    bent = _tool(t, CORNERS, DEPTHS)
+    late = (t > 13.0) & (t < 16.0)
+    bent[late] = 0.006 - 0.003 * (1.0 - np.cos(t[late] - 13.0))
+    bent[t >= 16.0] = bent[late][-1] - 0.05 * (t[t >= 16.0] - 16.0)
+    noise = 5e-6 * np.random.default_rng(0).standard_normal(t.size)
+    path = tool_path(Signal(t, bent + noise), PHASES)
+    inside = (t > 0.5) & (t < 16.0) & (np.abs(t - 3.0) > 0.004)
+    off = path.at(t[inside]) - bent[inside]
+    assert np.sqrt(np.mean(off**2)) < 5e-6
+
+
+def test_clean_encoders_are_followed_exactly() -> None:
+    """Without noise the samples are the path, a sine as well as a line."""
+    t = np.arange(0.0, 20.0, 0.002)
+    wavy = _tool(t, CORNERS, DEPTHS) + 1e-3 * np.sin(3.0 * t)
+    path = tool_path(Signal(t, wavy), PHASES)
+    inside = wavy > 0.0
+    np.testing.assert_allclose(path.at(t[inside]), wavy[inside], atol=1e-9)
+
+
+def _trial() -> Trial:
+    t = np.arange(0.0, 20.0, 0.001)
+    force = np.where((t > 1.0) & (t < 13.0), 5.0, 0.0)
+    force += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    return Trial(
+        name='trial',
+        start_ns=10**9,
+        force=Signal(t, force),
+        tool_height=Signal(t, 0.04 - _tool(t, CORNERS, DEPTHS)),
+        displacement_height=Signal(t[::100], np.zeros(t[::100].size)),
+    )
+
+
+def test_steps_hold_every_sample_once_and_are_short_near_events() -> None:
+    """Sums over steps are sums over samples; at touch and stop each sample has its own step."""
+    trial = _trial()
+    (made,), warnings = prepare([(trial, PHASES)])
+    assert warnings == ()
+    assert made.force_count.sum() == len(trial.force)
+    assert made.force_count @ made.force == pytest.approx(trial.force.value.sum())
+    assert made.force.size < 0.1 * len(trial.force)
+    near = np.abs(made.t[:-1] - 3.0) < 0.02
+    assert np.all(made.force_count[near] == 1.0)
+    full = made.at_full_rate()
+    assert full.force.size == len(trial.force)
+
+
+def test_a_glitch_is_left_out_of_its_step() -> None:
+    """The mean of a step is that of its good samples."""
+    trial = _trial()
+    value = trial.force.value.copy()
+    value[8000] = 50.0
+    (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
+    assert made.set_aside.tolist() == pytest.approx([8.0])
+    assert made.force_count.sum() == len(trial.force) - 1
+    assert made.force.max() < 6.0
+
+
+def test_a_step_of_the_force_is_no_glitch() -> None:
+    """A jump that stays is what an object does."""
+    value = np.repeat([0.0, 5.0], 500) + 0.01 * np.random.default_rng(2).standard_normal(1000)
+    assert not suspects(value).any()
+
+
+def test_what_cannot_be_fitted_is_named_with_the_reason() -> None:
+    """No contact, and a tool that does not push."""
+    trial = _trial()
+    none = replace(PHASES, t_contact=None, contact_height=None)
+    high = replace(PHASES, contact_height=0.01)
+    made, warnings = prepare([(trial, none), (trial, high)])
+    assert made == (None, None)
+    assert 'no contact' in warnings[0]
+    assert 'does not go on' in warnings[1]
+
+
+def test_campaign_time_and_depth_are_those_of_the_campaign() -> None:
+    """The second trial starts later; both know the deepest push."""
+    trial = _trial()
+    later = replace(trial, start_ns=trial.start_ns + 60 * 10**9)
+    made, _ = prepare([(trial, PHASES), (later, PHASES)])
+    assert [t.campaign_time for t in made] == pytest.approx([0.0, 60.0])
+    assert made[0].reference_depth == pytest.approx(0.006, rel=1e-3)

@@ -1,0 +1,116 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Whitening of means over blocks is exact, and the restricted likelihood finds the noise."""
+
+from hapticvision_ros.core.fit.noise_model import (
+    Blocks,
+    estimate,
+    Record,
+    SensorNoise,
+    whitener,
+)
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, cholesky, solve_triangular
+
+INTERVAL = 1e-3
+
+
+def _covariance(noise: SensorNoise, samples: int) -> np.ndarray:
+    lag = np.abs(np.subtract.outer(np.arange(samples), np.arange(samples)))
+    slow = noise.slow**2 * np.exp(-lag * INTERVAL / noise.correlation_time)
+    return slow + noise.white**2 * np.eye(samples)
+
+
+def _blocks(counts: list[int]) -> tuple[Blocks, np.ndarray]:
+    """Return blocks and the matrix that averages samples over them."""
+    count = np.array(counts, dtype=float)
+    mean = block_diag(*[np.full((1, n), 1.0 / n) for n in counts])
+    return Blocks(count * INTERVAL, count, np.zeros(count.size)), mean
+
+
+@pytest.mark.parametrize('correlation_time', [1e-4, 5e-3, 3.0])
+def test_whitening_means_is_that_of_the_full_covariance(correlation_time: float) -> None:
+    """The filter's squares and determinant are those of the dense matrix."""
+    noise = SensorNoise(0.7, 1.3, correlation_time)
+    blocks, mean = _blocks([1, 1, 2, 3, 7, 16, 17, 40, 40, 5, 1])
+    covariance = mean @ _covariance(noise, mean.shape[1]) @ mean.T
+    lower = cholesky(covariance, lower=True)
+    rows = np.random.default_rng(0).standard_normal((3, len(covariance)))
+    filter_ = whitener(blocks, noise)
+    # The closed form of a long block cancels digits where the noise is much slower than it.
+    np.testing.assert_allclose(
+        filter_(rows), solve_triangular(lower, rows.T, lower=True).T, rtol=1e-6, atol=1e-7
+    )
+    assert filter_.log_determinant == pytest.approx(2.0 * np.log(np.diag(lower)).sum(), rel=1e-7)
+
+
+def test_a_block_without_samples_tells_nothing() -> None:
+    """Its residual does not count, whatever it is."""
+    noise = SensorNoise(0.5, 1.0, 5e-3)
+    duration, count = np.full(5, INTERVAL), np.array([1.0, 1.0, 0.0, 1.0, 1.0])
+    filter_ = whitener(Blocks(duration, count, np.zeros(5)), noise)
+    rows = np.ones((2, 5))
+    rows[1, 2] = 1e6
+    white = filter_(rows)
+    np.testing.assert_array_equal(white[0], white[1])
+    assert white[0, 2] == 0.0
+
+
+def _noise(true: SensorNoise, samples: int, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    memory = np.exp(-INTERVAL / true.correlation_time)
+    value = np.empty(samples)
+    value[0] = true.slow * random.standard_normal()
+    kicks = true.slow * np.sqrt(1.0 - memory**2) * random.standard_normal(samples)
+    for k in range(1, samples):
+        value[k] = memory * value[k - 1] + kicks[k]
+    return value + true.white * random.standard_normal(samples)
+
+
+@pytest.mark.parametrize(
+    'true', [SensorNoise(1.0, 1.0, 0.02), SensorNoise(0.1, 1.0, 0.05), SensorNoise(1.0, 0.01, 0.1)]
+)
+def test_level_and_memory_come_back_from_a_residual(true: SensorNoise) -> None:
+    """Also where the fit has taken a level and a slope out of each record."""
+    samples = 8000
+    t = np.linspace(-1.0, 1.0, samples)
+    shared = np.stack((np.ones(samples), t))
+    records = []
+    for seed in range(3):
+        noise = _noise(true, samples, seed)
+        line = np.polynomial.Polynomial.fit(t, noise, 1)
+        blocks = Blocks(np.full(samples, INTERVAL), np.ones(samples), np.zeros(samples))
+        records.append(Record(blocks, noise - line(t), np.zeros((0, samples)), shared))
+    found = estimate(records, SensorNoise(0.5, 0.5, 0.01), INTERVAL)
+    assert found.std == pytest.approx(true.std, rel=0.1)
+    assert found.correlation(INTERVAL) == pytest.approx(true.correlation(INTERVAL), abs=0.05)
+    if true.slow > 0.5:
+        # The memory of 24,000 samples is known to about a tenth.
+        assert found.correlation_time == pytest.approx(true.correlation_time, rel=0.3)
+
+
+def test_the_likelihood_allows_for_what_a_fit_takes_out() -> None:
+    """Of twenty samples and ten fitted parameters, plain squares would lose half the variance."""
+    random = np.random.default_rng(0)
+    records = []
+    for _ in range(100):
+        columns = random.standard_normal((10, 20))
+        noise = random.standard_normal(20)
+        fitted = np.linalg.lstsq(columns.T, noise, rcond=None)[0]
+        blocks = Blocks(np.full(20, INTERVAL), np.ones(20), np.zeros(20))
+        records.append(Record(blocks, noise - fitted @ columns, np.zeros((0, 20)), columns))
+    found = estimate(records, SensorNoise(1.0, 0.1, 1e-3), INTERVAL)
+    assert found.std == pytest.approx(1.0, rel=0.1)
