@@ -76,11 +76,12 @@ class Curve:
 def whole_fit(curve: Curve) -> np.ndarray:
     """Fit force and noise, with covariance, from the signals to the parameters."""
     result = fit([(curve.trial, curve.phases)], Model())
-    trial = result.trials[0]
-    assert trial is not None
+    problem = result.problem
+    full = problem.trials[0].at_full_rate()
+    predicted = problem.predict(result.state, 0, full, directions=False).force
     # The reading, with the zero that was found: what the others fit as well.
-    zero = curve.phases.force_zero + (trial.values['force_zero'].value or 0.0)
-    return np.interp(curve.t[curve.hold], trial.force.t, trial.force_fitted) + zero
+    zero = curve.phases.force_zero + problem.own(result.state, 0)[1]
+    return predicted[curve.hold] + zero
 
 
 def identity(curve: Curve) -> np.ndarray:
