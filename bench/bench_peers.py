@@ -18,8 +18,8 @@ Bench: one relaxation curve of 2,000 points, fitted by this package and by its p
 The curve is that of a three-element body pushed for a second and held, with 1 % noise. A fit is
 judged by its distance from the noise-free force over the hold. Peers that know only a step of the
 displacement get the hold alone, from the largest force on; those that take any history get the
-whole. Run it with ``OMP_NUM_THREADS=1``. The peers are optional: ``pip install rheojax pyvisco
-hermes-rheo scipy``; one that is not there is left out, with a sentence.
+whole. Run it with ``OMP_NUM_THREADS=1``. The peers need scipy, without which they are left out
+with a sentence.
 """
 
 import argparse
@@ -131,22 +131,11 @@ def any_history(curve: Curve) -> np.ndarray:
     return model(found.x)[curve.hold]
 
 
-def rheojax(curve: Curve) -> np.ndarray:
-    """Fit the Zener model of rheojax to the hold."""
-    from rheojax.models import Zener
-
-    t = curve.t[curve.hold] - curve.t[curve.hold][0] + 1.0 / RATE
-    model = Zener()
-    model.fit(t, curve.force[curve.hold], test_mode='relaxation')
-    return np.asarray(model.predict(t, test_mode='relaxation'))
-
-
 PEERS: tuple[tuple[str, str | None, Callable[[Curve], np.ndarray]], ...] = (
     ('this: whole fit, noise, covariance', None, whole_fit),
     ('this: linear identity only', None, identity),
     ('scipy curve_fit, hold only', 'scipy', two_exponentials),
     ('scipy odeint, any history', 'scipy', any_history),
-    ('rheojax Zener, hold only', 'rheojax', rheojax),
 )
 
 
