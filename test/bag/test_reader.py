@@ -105,6 +105,18 @@ def test_of_repeated_stamps_the_first_is_kept(maker, foreign: Foreign) -> None:
     assert '2 of 102 messages repeat a time stamp' in only_warning(trial)
 
 
+def test_of_repeated_stamps_out_of_order_the_first_in_the_file_is_kept(
+    maker, foreign: Foreign
+) -> None:
+    order = np.random.default_rng(3).permutation(60).tolist()
+    samples = [maker.wrench(ms, -float(ms)) for ms in order]
+    samples += [maker.wrench(ms, 99.0) for ms in reversed(order)]
+    samples += [maker.number(TOOL_HEIGHT, ms, 0.0) for ms in range(60)]
+    trial = read_trial(foreign(samples))
+    np.testing.assert_array_equal(trial.force.value, np.arange(60.0))
+    assert any('60 of 120 messages repeat a time stamp' in w for w in trial.warnings)
+
+
 def test_gaps_are_counted(maker, foreign: Foreign) -> None:
     samples = [maker.wrench(k, 0.0) for k in range(400) if not 100 <= k < 150 and k != 300]
     samples += [maker.number(TOOL_HEIGHT, k, 0.0) for k in range(400)]
