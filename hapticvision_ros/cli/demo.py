@@ -31,7 +31,7 @@ from typing import Final
 
 from hapticvision_ros.cli import cell
 from hapticvision_ros.cli.fit import fit_bags, print_tables, write_results
-from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.errors import HapticVisionError, InputError
 from hapticvision_ros.share import share_folder
 
 SILICONE_VARIABLE: Final = 'HAPTICVISION_SILICONE'
@@ -50,9 +50,16 @@ EXPERIMENT: Final = (
 RANGE_SENSOR: Final = 'range_sensor_driver.yaml'
 CLOUD_SIZE: Final = {'width': 320, 'height': 240}
 """A quarter of the sensor's points: a demo need not fill a gigabyte of disk."""
+INTERRUPTED: Final = 130
 LARGEST_DOMAIN: Final = 101
 """The ports of larger ROS domains may collide with the system's own."""
 ENOUGH_TO_HOLD_OUT: Final = 3
+
+
+class DemoError(HapticVisionError):
+    """The experiment of the demo has failed."""
+
+    exit_code = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,15 +90,20 @@ def run(args: argparse.Namespace) -> int:
     measured = _silicone_csv(args.silicone)
     out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
     code = _experiment(out, args.domain)
-    if code:
+    if code == INTERRUPTED:
         return code
+    if code:
+        raise DemoError(
+            'the experiment did not succeed, for the reason that the last lines above give; its '
+            f'bags so far are in {out / "bags"}.'
+        )
     recorded = sorted(
         path.parent
         for path in (out / 'bags').glob('trial_*/metadata.yaml')
         if not path.parent.name.endswith(('_aborted', '_incomplete'))
     )
     if not recorded:
-        raise InputError(
+        raise DemoError(
             f'no trial in {out / "bags"} is complete, so there is nothing to fit: see the '
             'messages of the nodes above, and try again on an idle machine.'
         )

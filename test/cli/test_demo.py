@@ -106,10 +106,10 @@ class Demo:
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Demo]:
-    """Return a demo in the middle of its first push."""
+    """Return a demo that records its first trial."""
     started = Demo(tmp_path)
     try:
-        started.wait_for(': push')
+        started.wait_for(': record')
         yield started
     finally:
         started.process.kill()
