@@ -37,6 +37,7 @@ from hapticvision_ros.core.devices import Arm
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.push_control import (
     Command,
+    MeasuredTime,
     PushControl,
     PushGoal,
     PushLimits,
@@ -44,6 +45,8 @@ from hapticvision_ros.core.push_control import (
 )
 from hapticvision_ros.nodes.conversions import (
     contact_force,
+    ns_from_stamp,
+    NS_PER_S,
     point_from_message,
     scalar_to_message,
     text_to_message,
@@ -233,6 +236,7 @@ class ArmPushController(CellNode):
         self._limits = PushLimits(**{name: values.real(name) for name in _LIMIT_PARAMETERS})
         self._period = 1.0 / values.real('control_rate')
         self._enabled = False
+        self._force_time, self._tool_time = MeasuredTime(), MeasuredTime()
         self._force: Reading | None = None
         self._tool: Reading | None = None
         self._surface_height: float | None = None
@@ -264,7 +268,9 @@ class ArmPushController(CellNode):
         self._arm.close()
 
     def _on_wrench(self, message: Any) -> None:
-        self._force = Reading(time.monotonic(), contact_force(message))
+        stamp = ns_from_stamp(message.header.stamp) / NS_PER_S
+        measured = self._force_time.of(stamp, time.monotonic())
+        self._force = Reading(measured, contact_force(message))
 
     def _on_contact_point(self, message: Any) -> None:
         self._surface_height = point_from_message(message)[2]
@@ -330,7 +336,8 @@ class ArmPushController(CellNode):
         while not self.stopping.is_set():
             state = self._arm.read(timeout)[-1]
             now = time.monotonic()
-            self._tool = Reading(now, state.tool_height)
+            measured = self._tool_time.of(state.stamp_ns / NS_PER_S, now)
+            self._tool = Reading(measured, state.tool_height)
             if now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval
