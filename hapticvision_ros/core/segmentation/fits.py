@@ -276,10 +276,10 @@ def fit_stop(
     columns = travel[None, :]
     longest = max(high - float(t[0]), 0.0)
     # The corner of line and rest is told well, the slowing about it less so: search in these.
-    corners, slowing = np.linspace(low, high, 21), np.linspace(0.0, longest, 9)
-    dc, dd = corners[1] - corners[0], slowing[1] - slowing[0]
+    corners, slowing = np.linspace(low, high, 65), np.zeros(1)
+    dc, dd = 2.0 * (corners[1] - corners[0]), 0.5 * longest
     corner = slow = 0.0
-    for _round in range(6):
+    for _round in range(7):
         centre, half = 0.5 * (corners[0] + corners[-1]), 0.5 * (slowing[-1] + 4.0 * dc)
         tb, (xb,), weight = _binned(t, columns, centre, half, count)
         total = float(np.sum(weight))
@@ -305,7 +305,7 @@ def fit_stop(
             best = sharpest
         corner, slow = float(at[best, 0]), float(length[best, 0])
         corners = np.clip(corner + np.linspace(-1.0, 1.0, 11) * dc, low, high)
-        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 9) * dd, 0.0, longest)
+        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 11) * dd, 0.0, longest)
         slowing[0] = 0.0
-        dc, dd = dc / 4.0, dd / 3.0
+        dc, dd = dc / 3.0, dd / 3.0
     return corner + 0.5 * slow

@@ -29,6 +29,10 @@ from hapticvision_ros.core.segmentation.fits import (
 import numpy as np
 
 _FEWEST = 8
+_NO_PUSH = (
+    'the force is largest at the start of the record: it starts in contact, and the push is not '
+    'in it'
+)
 _DEFAULTS = SegmentationOptions()
 
 
@@ -179,17 +183,11 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     base = float(np.mean(before[before <= p10 + 2.6 * sigma]))
     amplitude = float(coarse[peak]) - base
     least = options.contact_sigmas * sigma + 1e-12 * float(np.max(np.abs(f)))
-    if amplitude <= least or peak < 2:
-        if float(np.ptp(coarse)) > least and peak < 2:
-            return _Contact(
-                float(tf[0]),
-                None,
-                float(coarse[peak] - np.min(coarse)),
-                (
-                    'the force is largest at the start of the record: it starts in contact, and '
-                    'the push is not in it',
-                ),
-            )
+    if amplitude <= least:
+        late = coarse.size - max(1, coarse.size // 10)
+        fall = float(coarse[peak] - np.median(coarse[late:]))
+        if fall > least:
+            return _Contact(float(tf[0]), None, fall, (_NO_PUSH,))
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
     high = int(np.argmax(before > base + threshold)) * block
@@ -386,11 +384,8 @@ def _find_loss(
         drift, error = slope(t[third:], f[third:])
         if abs(drift) > 4.0 * error and abs(drift) * float(t[-1] - t[0]) < 0.1 * contact.amplitude:
             f = f - drift * (t - float(t[f.size - tail.size // 2]))
-    outside = np.abs(f - level) > band
-    if free:
-        coarse = int(np.flatnonzero(outside)[-1]) + 1 if np.any(outside) else 0
-    else:
-        coarse = int(np.argmin(outside))
+    outside = np.flatnonzero(np.abs(f - level) > band)
+    coarse = int(outside[-1]) + 1 if outside.size else 0
     if coarse == 0:
         return t_release, level, []
     coarse = min(coarse, f.size - 1)
@@ -400,7 +395,7 @@ def _find_loss(
             None,
             [
                 f'a force of {level - zero:.3g} N keeps the tool on the object as it recovers: '
-                'contact is never lost, and t_loss is when the force first falls to that'
+                'contact is not lost for good, and t_loss is when the force has settled to that'
             ],
         )
     big = np.flatnonzero(np.abs(f[:coarse] - level) > max(4.0 * band, 0.2 * contact.amplitude))
