@@ -61,17 +61,26 @@ def reconcile(stamps: IntArray, reference: IntArray) -> tuple[IntArray, int, int
         The stamps; where they were never set or are far off, the reference plus the usual
         difference of the clocks.
     offset : int
-        The usual difference [ns]: the median.
+        The usual difference [ns]: the median; 0 if there is none, because the reference was never
+        set or runs at another rate.
     replaced : int
         How many stamps were replaced.
 
     """
-    unset = (stamps == 0) & (reference > CLOCK_TOLERANCE_NS)
+    replaced = (stamps == 0) & (reference > CLOCK_TOLERANCE_NS)
+    no_reference = (reference == 0) & (stamps > CLOCK_TOLERANCE_NS)
+    both = ~replaced & ~no_reference
     difference = stamps - reference
-    known = difference[~unset]
-    # Counted from the first one, the differences keep their nanoseconds in a float64.
-    offset = int(known[0]) + int(np.median(known - known[0])) if known.size else 0
-    replaced = unset | (np.abs(difference - offset) > CLOCK_TOLERANCE_NS)
+    known = difference[both]
+    offset = 0
+    if known.size:
+        # Counted from the first one, the differences keep their nanoseconds in a float64.
+        usual = int(known[0]) + int(np.median(known - known[0]))
+        far = both & (np.abs(difference - usual) > CLOCK_TOLERANCE_NS)
+        # Where most are far off, the clocks do not run alike and neither can judge the other.
+        if 2 * np.count_nonzero(far) < known.size:
+            offset = usual
+            replaced |= far
     return np.where(replaced, reference + offset, stamps), offset, int(np.count_nonzero(replaced))
 
 

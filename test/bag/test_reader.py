@@ -277,6 +277,22 @@ def test_publish_times_that_were_never_set_are_replaced(maker, foreign: Foreign)
     assert '50 publish times are unset or absurd' in only_warning(trial)
 
 
+@pytest.mark.parametrize(
+    ('first_ns', 'interval_ns'), [(0, 0), (10**18, 10 * MS)], ids=['never set', 'fast replay']
+)
+def test_header_stamps_stand_where_the_publish_times_make_no_sense(
+    maker, foreign: Foreign, first_ns: int, interval_ns: int
+) -> None:
+    samples = [
+        maker.wrench(1000 * k, -float(k), publish_ns=first_ns + k * interval_ns)
+        for k in range(100)
+    ]
+    samples += [maker.number(TOOL_HEIGHT, 1000 * k, 0.0) for k in range(100)]
+    trial = read_trial(foreign(samples))
+    np.testing.assert_allclose(trial.force.t, np.arange(100.0), rtol=1e-12)
+    assert DISPLACEMENT_HEIGHT.name in only_warning(trial)
+
+
 def test_a_trial_may_start_at_the_epoch(maker, foreign: Foreign) -> None:
     samples = [
         replace(s, publish_ns=s.publish_ns - START_NS, log_ns=s.log_ns - START_NS)
