@@ -32,7 +32,8 @@ fi
 unset PYTHONHOME VIRTUAL_ENV
 HOME=${HOME:-$(getent passwd "$(id -u)" | cut -d: -f6)}
 PATH=${PATH:-/usr/local/bin:/usr/bin:/bin}
-export HOME PATH PIP_DISABLE_PIP_VERSION_CHECK=1
+# uv brings certificates of its own; pip and a company's proxy go by the system's.
+export HOME PATH PIP_DISABLE_PIP_VERSION_CHECK=1 UV_SYSTEM_CERTS=true
 
 fail() {
     printf 'setup: %s\n' "$1" >&2
@@ -95,7 +96,7 @@ install_lock() {
     "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
         -r "$venv/uv.lock" >"$log" 2>&1 &&
         UV_DEFAULT_INDEX="${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-https://pypi.org/simple}}" \
-            UV_SYSTEM_CERTS=true "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
+            "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
             --python "$venv/bin/python" -r requirements.lock >>"$log" 2>&1 ||
         "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
             -r requirements.lock >>"$log" 2>&1 ||
