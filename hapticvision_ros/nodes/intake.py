@@ -26,6 +26,7 @@ from typing import Any, Final, Self
 from hapticvision_ros.bag.contract import POINTS, Topic
 from hapticvision_ros.nodes.qos import interface_class, relative_name, subscription_profile
 from rclpy.callback_groups import CallbackGroup
+from rclpy.qos import QoSReliabilityPolicy
 
 SCALAR_DEPTH: Final = 2000
 """Queue length of all but clouds: a replay may be many times faster than the cell."""
@@ -69,9 +70,11 @@ class Intake:
         )
 
     @classmethod
-    def of(cls, node: Any, topic: Topic, *, raw: bool = False) -> Self:
+    def of(cls, node: Any, topic: Topic, *, raw: bool = False, reliable: bool = False) -> Self:
         """Return the intake of a contract topic, in the node's namespace."""
         profile = subscription_profile(topic.qos)
+        if reliable:
+            profile.reliability = QoSReliabilityPolicy.RELIABLE
         if topic is not POINTS:
             profile.depth = max(profile.depth, SCALAR_DEPTH)
         kind = interface_class(topic.msgtype)
@@ -79,7 +82,7 @@ class Intake:
 
     @property
     def matched(self) -> bool:
-        """Whether some publisher is heard."""
+        """Return whether some publisher is heard."""
         return bool(self._subscription.get_publisher_count())
 
     def take(self) -> Iterator[tuple[Any, int, int]]:

@@ -16,7 +16,8 @@
 Tell the phases of the running trial from its signals alone, as they come.
 
 A trial begins at the phase ``approach`` of ``/experiment/phase``. Where nobody publishes that
-topic, it begins when the tool comes down again after a recovery.
+topic, it begins when the tool comes down again after a recovery; and in any case when time jumps,
+as between two replayed bags.
 """
 
 import math
@@ -32,7 +33,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.core.segmentation import OnlineSegmenter, PhaseEvent, SegmentationOptions
-from hapticvision_ros.nodes.clock import MessageClock
+from hapticvision_ros.nodes.clock import EXACT_REPLAY, MessageClock
 from hapticvision_ros.nodes.conversions import (
     contact_force,
     ns_from_stamp,
@@ -49,6 +50,7 @@ from rclpy.clock import Clock, ClockType
 NAME: Final = 'phase_segmenter'
 
 PARAMETERS: Final = (
+    EXACT_REPLAY,
     ParameterSpec(
         'contact_sigmas',
         'double',
@@ -95,6 +97,15 @@ PARAMETERS: Final = (
         read_only=True,
     ),
     ParameterSpec(
+        'longest_pause',
+        'double',
+        's',
+        'Samples that pause for longer, or whose time goes back by more, are of another trial.',
+        1.0,
+        36000.0,
+        read_only=True,
+    ),
+    ParameterSpec(
         'tick_period',
         'double',
         's',
@@ -122,16 +133,19 @@ class PhaseSegmenter(CellNode):
             loss_fraction=values.real('loss_fraction'),
         )
         self._approach_travel = values.real('approach_travel')
-        self._clock = MessageClock(self)
+        self._longest_pause_ns = round(values.real('longest_pause') * _NS_PER_S)
+        self._message_clock = MessageClock(self)
         self._segmenter = OnlineSegmenter(self._options)
         self._start_ns: int | None = None
+        self._newest_ns = 0
         self._told: str | None = None
         self._commanded = False
         self._highest: float | None = None
 
+        exact = self._message_clock.exact
         self._phase_intake = Intake.of(self, PHASE)
-        self._wrench_intake = Intake.of(self, WRENCH)
-        self._height_intake = Intake.of(self, TOOL_HEIGHT)
+        self._wrench_intake = Intake.of(self, WRENCH, reliable=exact)
+        self._height_intake = Intake.of(self, TOOL_HEIGHT, reliable=exact)
         self._phase_publisher = create_publisher(self, DETECTED_PHASE)
         self._time_publishers = {
             'contact': create_publisher(self, CONTACT_TIME),
@@ -156,10 +170,10 @@ class PhaseSegmenter(CellNode):
         ]
         heights = [(sent, float(message.data)) for message, sent, _ in self._height_intake.take()]
         # After the messages, so that the tick that was sent before each of them is there.
-        self._clock.update()
-        self._clock.forget(_TICKS)
+        self._message_clock.update()
+        self._message_clock.forget(_TICKS)
         sent = np.array([item[0] for item in heights], dtype=np.int64)
-        stamps = self._clock.times(sent)
+        stamps = self._message_clock.times(sent)
         samples = [(stamp, True, force) for stamp, force in forces]
         samples += [
             (int(stamp), False, height)
@@ -180,9 +194,12 @@ class PhaseSegmenter(CellNode):
         """Give the segmenter one sample."""
         if not math.isfinite(value):
             return
+        if self._start_ns is not None and abs(stamp - self._newest_ns) > self._longest_pause_ns:
+            self._begin()
         if self._start_ns is None:
-            self._start_ns = stamp
+            self._start_ns = self._newest_ns = stamp
             self._tell(self._segmenter.phase)
+        self._newest_ns = max(self._newest_ns, stamp)
         t = (stamp - self._start_ns) / _NS_PER_S
         if is_force:
             events = self._segmenter.add_force(t, value)
