@@ -24,6 +24,7 @@ from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
     POINTS,
+    PUSH_VELOCITY,
     TOOL_HEIGHT,
     WRENCH,
 )
@@ -315,6 +316,30 @@ def test_times_beyond_any_date_do_not_overflow(maker, foreign: Foreign) -> None:
     assert len(trial.force) >= 100 and trial.warnings
 
 
+@pytest.mark.parametrize('far_ns', [0, 10**9, 3 * 10**18])
+def test_messages_of_another_date_are_left_out(maker, foreign: Foreign, far_ns: int) -> None:
+    samples = maker.trial()
+    for topic in (TOOL_HEIGHT, PUSH_VELOCITY):
+        far = replace(maker.number(topic, 40, 1.0), publish_ns=far_ns, log_ns=far_ns)
+        samples.append(far)
+    trial = read_trial(foreign(samples))
+    assert trial.start_ns == START_NS
+    np.testing.assert_allclose(trial.tool_height.t, np.arange(0, 100, 2) * 1e-3, rtol=1e-12)
+    assert len(trial.push_velocity) == 1
+    assert [w.split(': ')[1] for w in trial.warnings] == [
+        '1 of 51 messages are over a day away from the trial',
+        '1 of 2 messages are over a day away from the trial',
+    ]
+
+
+def test_a_needed_topic_of_another_date_is_refused(maker, foreign: Foreign) -> None:
+    samples = [s for s in maker.trial() if s.topic != TOOL_HEIGHT.name]
+    far = maker.number(TOOL_HEIGHT, 0, 1.0)
+    samples.append(replace(far, publish_ns=10**9, log_ns=10**9))
+    with pytest.raises(InputError, match='1 of its 1 messages are over a day away'):
+        read_trial(foreign(samples))
+
+
 def test_streams_that_do_not_overlap_are_told(maker, foreign: Foreign) -> None:
     samples = [maker.wrench(k, 0.0) for k in range(10)]
     samples += [maker.number(TOOL_HEIGHT, k, 0.0) for k in range(5000, 5010)]
@@ -401,6 +426,21 @@ def test_a_cut_in_the_middle_loses_at_most_one_chunk(
     # The index of 50 to 200 bytes a chunk and the summary lie behind the cut.
     assert len(trial.force) > 100
     assert sum(1 for _ in trial.clouds) == 2
+
+
+@pytest.mark.parametrize('options', FORMATS, ids=['none', 'zstd', 'lz4', 'unchunked'])
+def test_a_chunk_that_is_cut_is_read_up_to_the_cut(maker, foreign: Foreign, options: dict) -> None:
+    rng = np.random.default_rng(4)
+    samples = [maker.number(TOOL_HEIGHT, 0, 0.05)]
+    samples += [maker.wrench(k, value) for k, value in enumerate(rng.normal(size=4000))]
+    path = foreign(samples, chunk_size=10**7, **options)
+    with path.open('r+b') as file:
+        # The message index behind the only chunk takes 16 bytes a message.
+        file.truncate((path.stat().st_size - 16 * 4001) // 2)
+    trial = read_trial(path)
+    # A compressed chunk gives whole blocks of up to 128 KiB: about 1200 messages.
+    assert 600 < len(trial.force) < 2500
+    assert any('breaks off' in warning for warning in trial.warnings)
 
 
 @settings(
