@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hapticvision_ros.core.records import FloatArray
-from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop
+from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop, level
 import numpy as np
 
 _BLOCKS = 20
@@ -122,11 +122,11 @@ def fit_start(t: FloatArray, x: FloatArray, first: int, moved: int) -> float:
         Time of the start [s].
 
     """
-    level = float(np.median(x[first:moved]))
-    off = np.abs(x[moved:] - level)
+    rest = level(x[first:moved])
+    off = np.abs(x[moved:] - rest)
     leg = int(np.argmax(off >= 0.2 * float(np.max(off))))
     last = min(x.size, moved + max(leg, 4) + 1)
-    near = np.flatnonzero(np.abs(x[first:last] - level) <= 0.1 * abs(float(x[last - 1]) - level))
+    near = np.flatnonzero(np.abs(x[first:last] - rest) <= 0.1 * abs(float(x[last - 1]) - rest))
     settled = first + int(near[-1]) if near.size else moved
     begin = max(first, settled - max(2 * (last - settled), 8))
     back = -t[begin:last][::-1]
@@ -193,7 +193,7 @@ def locate_touch(
     away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
     moved = int(np.argmax(away))
     if moved >= 4:
-        travelled = float(np.interp(onset.t, tx, x)) - float(np.median(x[: moved - 1]))
+        travelled = float(np.interp(onset.t, tx, x)) - level(x[: moved - 1])
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             still = force[t < started]

@@ -37,6 +37,11 @@ def despike(value: FloatArray) -> FloatArray:
     return np.concatenate((value[:1], middle, value[-1:]))
 
 
+def level(value: FloatArray) -> float:
+    """Return the median of `value`, of a thousand samples spread over it where it is long."""
+    return float(np.median(value[:: max(1, value.size // 1000)]))
+
+
 def noise_std(value: FloatArray) -> float:
     """
     Estimate the standard deviation of the noise on a piecewise smooth signal.
@@ -59,7 +64,7 @@ def noise_std(value: FloatArray) -> float:
     for lag in _LAGS:
         if value.size < max(5, 100 * (lag - 1)):
             break
-        thin = max(1, value.size // 4096)
+        thin = max(1, value.size // 2048)
         count = (value.size - 3 * lag + thin - 1) // thin
         at = thin * np.arange(count)
         bend = value[at + 3 * lag] - value[at] + 3.0 * (value[at + lag] - value[at + 2 * lag])
@@ -247,7 +252,7 @@ def fit_stop(
     low: float,
     high: float,
     *,
-    count: int = 160,
+    count: int = 130,
 ) -> float:
     """
     Find when a tool that moved steadily has come to rest.
@@ -279,7 +284,8 @@ def fit_stop(
     corners, slowing = np.linspace(low, high, 65), np.zeros(1)
     dc, dd = 2.0 * (corners[1] - corners[0]), 0.5 * longest
     corner = slow = 0.0
-    for _round in range(7):
+    spacing = float(t[-1] - t[0]) / (t.size - 1)
+    for _round in range(10):
         centre, half = 0.5 * (corners[0] + corners[-1]), 0.5 * (slowing[-1] + 4.0 * dc)
         tb, (xb,), weight = _binned(t, columns, centre, half, count)
         total = float(np.sum(weight))
@@ -304,8 +310,10 @@ def fit_stop(
         if sharp[sharpest] <= sse[best] * (1.0 + 9.0 / max(total - 4.0, 1.0)) + 1e-300:
             best = sharpest
         corner, slow = float(at[best, 0]), float(length[best, 0])
-        corners = np.clip(corner + np.linspace(-1.0, 1.0, 11) * dc, low, high)
-        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 11) * dd, 0.0, longest)
+        corners = np.clip(corner + np.linspace(-1.0, 1.0, 9) * dc, low, high)
+        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 8) * dd, 0.0, longest)
         slowing[0] = 0.0
         dc, dd = dc / 3.0, dd / 3.0
+        if dc < 0.01 * spacing:
+            break
     return corner + 0.5 * slow

@@ -26,6 +26,9 @@ from hapticvision_ros.core.segmentation.fits import (
     fit_stop,
     noise_std,
 )
+from hapticvision_ros.core.segmentation.fits import (
+    level as median_level,
+)
 import numpy as np
 
 _FEWEST = 8
@@ -80,7 +83,10 @@ def segment(
     T_c is the onset of the force over the tool's travel; T_s is the moment at which the tool has
     come to rest (the end of its slowing down, where it slows down) and T_e the moment at which it
     starts back, both from the tool's motion; t_loss is where the force on withdrawal has gone to
-    its level without contact for good, after the pull of an adhesive object.
+    its level without contact for good, after the pull of an adhesive object. Where a small force
+    (up to 15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
+    the tool pushes in steps, the phases are those of the first step and `t_end` is its end. Where
+    the tool never comes to rest, `push_speed` is the mean up to the end of the push.
 
     Parameters
     ----------
@@ -238,7 +244,7 @@ def _find_rests(
         if rests and rests[-1].stop >= first:
             first = rests[-1].first
             rests.pop()
-        rests.append(_Rest(first, stop, float(np.median(x[first:stop]))))
+        rests.append(_Rest(first, stop, median_level(x[first:stop])))
     return rests
 
 
@@ -404,6 +410,9 @@ def _find_loss(
     stop = min(f.size, coarse + 3 * max(coarse - begin, 10))
     back_t, back_f = -t[begin:stop][::-1], f[begin:stop][::-1]
     latest = -float(t[begin])
-    earliest = -float(t[min(coarse + (coarse - begin), stop - 1)])
+    # What the band hides of a force that goes out smoothly; a pull that lets go hides nothing.
+    fading = np.flatnonzero(np.abs(f[:coarse] - level) > 3.0 * band)
+    hidden = 2 * (coarse - int(fading[-1])) if fading.size else 2
+    earliest = -float(t[min(coarse + max(hidden, 2), stop - 1)])
     onset = fit_onset(back_t, back_f, back_t, earliest, latest)
     return max(t_release, -onset.t), level, []

@@ -169,6 +169,15 @@ class OnlineSegmenter:
 
     Notes
     -----
+    Over the tests' table of conditions it agrees with `segment`: T_s and T_e within a sample of
+    the height or twice the jitter over the speed; T_c within five samples of the force or eight
+    times the travel over which the force hides in its noise; t_loss within three samples or four
+    times the time over which it does. It sees T_c, T_s and T_e within 30, 15 and 10 % of the
+    duration of the push and eight samples more.
+
+    Not seen online: a contact in a record that starts in the hold. A withdrawal that keeps a
+    force counts as a loss once the force stands still, which `segment` may place later.
+
     Memory is bounded, and a sample costs a constant number of operations; the sample that shows
     an event costs a fit of about a millisecond more. Force and height may come at different rates
     and interleave in any order; a sample that is not newer than the last of its kind is ignored.
