@@ -222,8 +222,7 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
             new = heard[kind][first:]
             assert new, f'the segmenter has not seen the {kind}'
             found = new[-1] - trial.start_ns * 1e-9
-            # The node takes force and height in batches: a fit at an event may have seen one
-            # sample more or less of the other stream.
+            # The node starts anew at the commanded approach, some samples into the bag.
             assert found == pytest.approx(t, abs=interval), kind
 
 
