@@ -136,6 +136,14 @@ PARAMETERS: Final = (
         'feedback_period', 'double', 's', 'Longest time between two reports.', 0.05, 60.0
     ),
     ParameterSpec(
+        'retry_period',
+        'double',
+        's',
+        'Pause before a service that refuses to prepare a push is asked again.',
+        0.05,
+        60.0,
+    ),
+    ParameterSpec(
         'tick_period',
         'double',
         's',
@@ -231,6 +239,8 @@ class ExperimentOrchestrator(CellNode):
         self._folder = Path()
         self._recording: Recording | None = None
         self._call: _Call | None = None
+        self._asked: tuple[Service, Any] = (STOP, None)
+        self._ask_again_at = 0.0
         self._sample: _NewSample | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
@@ -442,7 +452,7 @@ class ExperimentOrchestrator(CellNode):
                     else:
                         experiment.done(now)
             case Step.PLAN | Step.TARE | Step.ENABLE:
-                self._on_answer(experiment, now, experiment.done)
+                self._prepare(experiment, now)
             case Step.CONFIGURE:
                 self._on_configured(experiment, now)
             case Step.RECORD:
@@ -470,6 +480,7 @@ class ExperimentOrchestrator(CellNode):
         assert self._experiment is not None
         self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
         self._call = _Call(self._clients_of[service.name], request)
+        self._asked = (service, request)
 
     def _drop_call(self) -> None:
         if self._call is not None:
@@ -488,6 +499,23 @@ class ExperimentOrchestrator(CellNode):
         else:
             step = experiment.step.name.lower()
             experiment.failed(f'{experiment.trial.name}: {step} refused: {answer.message}', now)
+
+    def _prepare(self, experiment: Experiment, now: float) -> None:
+        """Go on when a service agrees; ask one that refuses again, since it may just start."""
+        service, request = self._asked
+        if self._call is None:
+            if now >= self._ask_again_at:
+                self._call = _Call(self._clients_of[service.name], request)
+            return
+        answer = self._call.answer()
+        if answer is None:
+            return
+        if answer.success:
+            experiment.done(now)
+            return
+        self._drop_call()
+        self._ask_again_at = now + self.parameters.real('retry_period')
+        experiment.waiting_for = f'{service.name}, which refuses: {answer.message}'
 
     def _on_configured(self, experiment: Experiment, now: float) -> None:
         answer = self._call.answer() if self._call is not None else None
@@ -611,7 +639,9 @@ class ExperimentOrchestrator(CellNode):
         )
         message.level = _LEVELS[experiment.status]
         self._result_publisher.publish(message)
-        self.get_logger().info(f'goal {self._goal_id()}: {experiment.status.name}')
+        self.get_logger().info(
+            f'goal {self._goal_id()}: {experiment.status.name}; {message.message}'
+        )
 
 
 def _set_request(values: dict[str, float]) -> Any:
