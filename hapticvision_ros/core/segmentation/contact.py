@@ -22,6 +22,8 @@ from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, f
 import numpy as np
 
 _BLOCKS = 20
+_GLITCH = 9.0
+"""Median deviations beyond which a sample without contact is a glitch: 6 sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +183,7 @@ def locate_touch(
         rises = doubt < 2.0 or (doubt - 1.0) * (tw.size - 5.0) < 30.0
     reach = float(tw[-1]) - onset.t
     before = int(np.searchsorted(t, onset.t - 0.1 * reach))
-    drift = 0.0
+    drift, zero = 0.0, onset.baseline
     if before >= _BLOCKS:
         drift, error = slope(t[:before], force[:before])
         if abs(drift) > 4.0 * error:
@@ -189,6 +191,7 @@ def locate_touch(
             onset = fit_onset(tw, fw - drift * (tw - onset.t), travel, earliest, latest)
         else:
             drift = 0.0
+        zero = _quiet_level(force[:before] - drift * (t[:before] - onset.t))
     far = float(np.max(x) - x[0])
     away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
     moved = int(np.argmax(away))
@@ -201,4 +204,11 @@ def locate_touch(
             return Touch(started, zero, 0.0, 'rest')
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
-    return Touch(onset.t, onset.baseline, drift, 'approach')
+    return Touch(onset.t, zero, drift, 'approach')
+
+
+def _quiet_level(value: FloatArray) -> float:
+    """Return the mean of all that is no glitch: correlated noise needs a long average."""
+    centre = float(np.median(value))
+    off = np.abs(value - centre)
+    return float(np.mean(value[off <= _GLITCH * float(np.median(off))]))

@@ -22,6 +22,8 @@ import numpy as np
 _LAGS = (1, 2, 4, 8, 16)
 # What a shape with a second term must gain over one without [noise variances].
 _COSTS = (0.0, 0.0, 8.0, 8.0, 8.0)
+_GUARD = 3
+"""Samples before an onset that may already hold some of the rise."""
 _P70_OF_NORMAL = 1.0364333894937898
 
 
@@ -207,9 +209,12 @@ def fit_onset(
         equal = np.flatnonzero(table <= float(np.min(table)) * (1.0 + 1e-9) + 1e-300)
         run = equal[equal >= int(np.argmin(table))]
         best_t, best_sse = float(np.mean(starts[run])), least
-        before = tb <= best_t
-        if np.any(before):
-            baseline = float(np.average(vb[before], weights=weight[before]))
+        # The onset is known to about a sample, and a dashpot's jump is far above the noise: the
+        # last samples before it stay out of the baseline where there are others.
+        before = int(np.searchsorted(tb, best_t, side='right'))
+        if before:
+            quiet = slice(0, max(before - _GUARD, min(before, _GUARD)))
+            baseline = float(np.average(vb[quiet], weights=weight[quiet]))
         step = (high - low) / (grid - 1)
         low, high = max(low, best_t - 2.0 * step), min(high, best_t + 2.0 * step)
         if high - low <= 0.0:

@@ -318,14 +318,18 @@ class OnlineSegmenter:
         limit = options.contact_sigmas * force.noise + 1e-9 * abs(self._baseline)
         if force.count < _FEW:
             limit *= 3.0
-        if (excess < 0.5 * limit or force.count < _WARM_UP) and (
+        # Nothing is touched by a tool that rests: what the force does until then is its noise.
+        height = self._height
+        resting = height.count > _WARM_UP and not self._moving_from_start
+        resting &= abs(height.value - self._x_first) <= 5.0 * height.noise + 1e-12
+        if (excess < 0.5 * limit or force.count < _WARM_UP or resting) and (
             len(self._latest) > min(force.count // 4, _LAG)
         ):
             self._follow(*self._latest.popleft())
         over = excess > limit and self._fast - self._lowest > limit
         # A force that rises from the first sample is itself the line.
         rises = self._moving_from_start and self._fast - self._first > _RISE * limit
-        self._over = self._over + 1 if over or rises else 0
+        self._over = self._over + 1 if (over or rises) and not resting else 0
         if self._over < 3 or self._height.count < 3:
             return ()
         t, f = force.history.arrays()
