@@ -200,8 +200,8 @@ def locate_touch(
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             still = force[t < started]
-            zero = float(np.mean(still)) if still.size else None
-            return Touch(started, zero, 0.0, 'rest')
+            resting = float(np.mean(still)) if still.size else None
+            return Touch(started, resting, 0.0, 'rest')
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
     return Touch(onset.t, zero, drift, 'approach')
