@@ -49,6 +49,7 @@ from hapticvision_ros.bag.contract import (
     TOPICS,
     WRENCH,
 )
+from hapticvision_ros.bag.writer import preload
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.experiment import (
     Deadlines,
@@ -259,6 +260,7 @@ class ExperimentOrchestrator(CellNode):
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
         self._status_publisher.publish(action.GoalStatusArray())
+        self.spawn(preload, 'preload')
         # Deadlines count real seconds, also where the other nodes follow a simulated clock.
         self.create_timer(
             self.parameters.real('tick_period'),
@@ -452,13 +454,13 @@ class ExperimentOrchestrator(CellNode):
                     else:
                         experiment.done(now)
             case Step.PLAN | Step.TARE | Step.ENABLE:
-                self._prepare(experiment, now)
+                self._prepare(experiment, now, experiment.done)
             case Step.CONFIGURE:
                 self._on_configured(experiment, now)
             case Step.RECORD:
                 self._on_recording(experiment, now)
             case Step.START:
-                self._on_answer(experiment, now, experiment.started)
+                self._prepare(experiment, now, experiment.started)
                 self._watch_disk(experiment, now)
             case Step.PUSH:
                 self._watch_disk(experiment, now)
@@ -500,7 +502,7 @@ class ExperimentOrchestrator(CellNode):
             step = experiment.step.name.lower()
             experiment.failed(f'{experiment.trial.name}: {step} refused: {answer.message}', now)
 
-    def _prepare(self, experiment: Experiment, now: float) -> None:
+    def _prepare(self, experiment: Experiment, now: float, then: Callable[[float], None]) -> None:
         """Go on when a service agrees; ask one that refuses again, since it may just start."""
         service, request = self._asked
         if self._call is None:
@@ -511,7 +513,7 @@ class ExperimentOrchestrator(CellNode):
         if answer is None:
             return
         if answer.success:
-            experiment.done(now)
+            then(now)
             return
         self._drop_call()
         self._ask_again_at = now + self.parameters.real('retry_period')

@@ -161,7 +161,7 @@ def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
     cell, probe, until
 ):
     results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
-    probe.set_parameters('experiment_orchestrator', {'service_deadline': 3.0, 'hold_time': 20.0})
+    probe.set_parameters('experiment_orchestrator', {'service_deadline': 10.0, 'hold_time': 20.0})
     until(
         lambda: (
             probe.call(START_EXPERIMENT, Trigger.Request(), START).success
