@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Live load-cell path: loss and delay from publish to a callback like the push controller's.
+Live load-cell path: loss and delay from publish to where the push controller takes a sample.
 
 A publisher process sends 1,000 wrenches a second, paced by absolute time, each stamped as it is
 published. A subscriber process is built as the push controller is: a `CellNode` under `run`, with
-the contract's subscription and a callback that only stores. Beside it, the same without the
-package (plain rclpy, a reliable subscription and ``rclpy.spin``) gives the ratio. Both hear the
+an `Intake` that a thread of its own waits for. Beside it, the same without the package (plain
+rclpy, a reliable subscription with a callback and ``rclpy.spin``) gives the ratio. Both hear the
 same messages in the same run.
 
     python bench/bench_load_cell_path.py [--seconds 10] [--rate 1000]
@@ -55,13 +55,17 @@ def publish(rate: float, seconds: float) -> None:
     # Newly matched subscribers miss what is sent before they know it.
     time.sleep(1.0)
     due = time.monotonic()
+    late = []
     for k in range(int(rate * seconds)):
         due += 1.0 / rate
         time.sleep(max(0.0, due - time.monotonic()))
+        late.append(time.monotonic() - due)
         sample = WrenchSample(time.time_ns(), (float(k), 0.0, 0.0), (0.0, 0.0, 0.0))
         publisher.publish(wrench_to_message(sample, WRENCH.frame_id))
     time.sleep(1.0)
     rclpy.shutdown()
+    p50, p99 = np.percentile(np.array(late) * 1e3, (50, 99))
+    print(f'   machine: a process wakes p50 {p50:.3f} ms, p99 {p99:.3f} ms after its time')
 
 
 def report(received: list[tuple[int, float, int]], path: str) -> None:
@@ -74,20 +78,23 @@ def subscribe_as_controller(path: str) -> int:
     from hapticvision_ros.bag.contract import WRENCH
     from hapticvision_ros.nodes import load_cell_driver
     from hapticvision_ros.nodes.conversions import ns_from_stamp
-    from hapticvision_ros.nodes.qos import create_subscription
+    from hapticvision_ros.nodes.intake import Intake
     from hapticvision_ros.nodes.runtime import CellNode, run
 
     class Receiver(CellNode):
         def __init__(self) -> None:
             super().__init__(load_cell_driver.NAME, load_cell_driver.PARAMETERS)
             self._received: list[tuple[int, float, int]] = []
-            create_subscription(self, WRENCH, self._on_wrench)
+            self._wrenches = Intake.of(self, WRENCH)
+            self.spawn(self._listen, 'load cell reader')
 
-        def _on_wrench(self, message: object) -> None:
-            now = time.time_ns()
-            self._received.append(
-                (now, message.wrench.force.x, ns_from_stamp(message.header.stamp))
-            )
+        def _listen(self) -> None:
+            while not self.stopping.is_set():
+                if not self._wrenches.wait(0.1):
+                    continue
+                for message, _, _ in self._wrenches.take():
+                    stamp = ns_from_stamp(message.header.stamp)
+                    self._received.append((time.time_ns(), message.wrench.force.x, stamp))
 
         def close(self) -> None:
             super().close()
@@ -153,6 +160,7 @@ def main() -> int:
             )
             for role in ('controller', 'plain')
         }
+        cpu: dict[str, float] = {}
         try:
             subprocess.run(
                 [
@@ -166,9 +174,10 @@ def main() -> int:
                 timeout=arguments.seconds + 60.0,
             )
         finally:
-            for process in subscribers.values():
+            for role, process in subscribers.items():
                 process.send_signal(signal.SIGINT)
-                process.wait(20.0)
+                usage = os.wait4(process.pid, 0)[2]
+                cpu[role] = usage.ru_utime + usage.ru_stime
         sent = int(arguments.rate * arguments.seconds)
         medians = {}
         for role in subscribers:
@@ -177,9 +186,13 @@ def main() -> int:
             medians[role] = p50
             print(
                 f'{role:>10}: {sent} sent, {sent - np.unique(numbers).size} lost, '
-                f'p50 {p50:.3f} ms, p99 {p99:.3f} ms, max {delays.max() * 1e-6:.3f} ms'
+                f'p50 {p50:.3f} ms, p99 {p99:.3f} ms, max {delays.max() * 1e-6:.3f} ms, '
+                f'{cpu[role]:.2f} s of CPU time from start to end'
             )
-        print(f'p50 controller / plain: {medians["controller"] / medians["plain"]:.2f}')
+        print(
+            f'controller / plain: p50 {medians["controller"] / medians["plain"]:.2f}, '
+            f'CPU {cpu["controller"] / cpu["plain"]:.2f}'
+        )
     return 0
 
 
