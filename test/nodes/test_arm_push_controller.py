@@ -81,9 +81,8 @@ def test_a_push_goes_through_its_phases_at_the_commanded_speed_and_depth(control
     wrenches, velocities = probe.listen(WRENCH), probe.listen(PUSH_VELOCITY)
     (result,) = probe.set_parameters('arm_push_controller', {'push_speed': 0.004})
     assert result.successful, result.reason
-    probe.publisher(CONTACT_POINT).publish(
-        point_to_message((0.0, 0.0, BLOCK_HEIGHT), 0, CONTACT_POINT.frame_id)
-    )
+    surface = point_to_message((0.0, 0.0, BLOCK_HEIGHT), 0, CONTACT_POINT.frame_id)
+    probe.send(CONTACT_POINT, surface)
     start_push(probe, until)
     until(lambda: 'done' in texts(phases), 'the end of the push', 30.0)
     assert texts(phases) == ['approach', 'push', 'hold', 'release', 'recover', 'done']
