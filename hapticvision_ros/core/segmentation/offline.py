@@ -196,7 +196,9 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
             return _Contact(float(tf[0]), None, fall, (_NO_PUSH,))
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
-    high = int(np.argmax(before > base + threshold)) * block
+    # The block before may have risen already in its last samples.
+    first = max(int(np.argmax(before > base + threshold)) - 1, 0) * block
+    high = first + int(np.argmax(f[first:] > base + threshold))
     quiet = np.flatnonzero(f[: high + 1] <= base + max(least, 0.01 * amplitude))
     low = int(quiet[-1]) if quiet.size else 0
     touch = locate_touch(tf, f, record.tx, record.x, record.travel_noise, low, high)
