@@ -30,7 +30,7 @@ help: ## Say what there is.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
 
 demo: setup ## Run an experiment on the simulated cell, fit it and real data, write out/demo.
-	@$(BIN)/hapticvision demo --out out/demo
+	@$(BIN)/hapticvision demo --out out/demo $(if $(SILICONE),--silicone "$(SILICONE)")
 
 test: setup ## Run all tests, the linters among them.
 	@$(BIN)/python -m pytest

@@ -34,7 +34,7 @@ ARGUMENTS = (
 
 def generate_launch_description():
     """Return what is started."""
-    simulated = {'use_sim_time': True}
+    simulated = {'use_sim_time': True, 'exact_replay': True}
     fitter = {
         **simulated,
         'displacement_from_points': LaunchConfiguration('displacement_from_points'),

@@ -32,7 +32,8 @@ fi
 unset PYTHONHOME VIRTUAL_ENV
 HOME=${HOME:-$(getent passwd "$(id -u)" | cut -d: -f6)}
 PATH=${PATH:-/usr/local/bin:/usr/bin:/bin}
-export HOME PATH PIP_DISABLE_PIP_VERSION_CHECK=1
+# uv brings certificates of its own; pip and a company's proxy go by the system's.
+export HOME PATH PIP_DISABLE_PIP_VERSION_CHECK=1 UV_SYSTEM_CERTS=true
 
 fail() {
     printf 'setup: %s\n' "$1" >&2
@@ -91,11 +92,13 @@ make_venv() {
 # uv installs the lock file in a tenth of pip's time, so it comes first, pinned by that very file.
 # pip is what is left where uv does not reach the index: pip alone reads pip.conf.
 install_lock() {
+    if [ -z "${UV_DEFAULT_INDEX:-}" ] && [ -n "${PIP_INDEX_URL:-}" ]; then
+        export UV_DEFAULT_INDEX="$PIP_INDEX_URL"
+    fi
     sed -n '/^uv==/,/[^\\]$/p' requirements.lock >"$venv/uv.lock"
     "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
         -r "$venv/uv.lock" >"$log" 2>&1 &&
-        UV_DEFAULT_INDEX="${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-https://pypi.org/simple}}" \
-            UV_SYSTEM_CERTS=true "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
+        "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
             --python "$venv/bin/python" -r requirements.lock >>"$log" 2>&1 ||
         "$venv/bin/python" -m pip install --quiet --no-deps --require-hashes \
             -r requirements.lock >>"$log" 2>&1 ||

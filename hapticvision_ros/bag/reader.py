@@ -96,7 +96,10 @@ class TrialStreams:
 
         """
         told = list(warnings)
-        starts = [first for stream in self.all if (first := stream.settle_times()) is not None]
+        middles = [middle for stream in self.all if (middle := stream.settle_times()) is not None]
+        # The first one is that of the force, if there is any.
+        middle_ns = middles[0] if middles else 0
+        starts = [first for each in self.all if (first := each.keep_near(middle_ns)) is not None]
         start_ns = min(starts, default=0)
         force = self.force.signal(start_ns)
         tool_height = self.tool_height.signal(start_ns)

@@ -34,6 +34,8 @@ How far the two clocks of one message may be apart.
 No latency is that long, and nobody sets clocks so badly on purpose. Beyond it a stamp is a mistake
 (never set, or of a clock that counts from the sensor's start), and the streams would not line up.
 """
+LONGEST_TRIAL_NS: Final = 24 * 3600 * NS_PER_S
+"""A message further than this from the middle of the trial has a wrong date."""
 GAP_FACTOR: Final = 10.0
 """An interval this many times the 95 % quantile of a signal's intervals is a gap."""
 FEWEST_FOR_INTERVALS: Final = 20
@@ -61,17 +63,26 @@ def reconcile(stamps: IntArray, reference: IntArray) -> tuple[IntArray, int, int
         The stamps; where they were never set or are far off, the reference plus the usual
         difference of the clocks.
     offset : int
-        The usual difference [ns]: the median.
+        The usual difference [ns]: the median; 0 if there is none, because the reference was never
+        set or runs at another rate.
     replaced : int
         How many stamps were replaced.
 
     """
-    unset = (stamps == 0) & (reference > CLOCK_TOLERANCE_NS)
+    replaced = (stamps == 0) & (reference > CLOCK_TOLERANCE_NS)
+    no_reference = (reference == 0) & (stamps > CLOCK_TOLERANCE_NS)
+    both = ~replaced & ~no_reference
     difference = stamps - reference
-    known = difference[~unset]
-    # Counted from the first one, the differences keep their nanoseconds in a float64.
-    offset = int(known[0]) + int(np.median(known - known[0])) if known.size else 0
-    replaced = unset | (np.abs(difference - offset) > CLOCK_TOLERANCE_NS)
+    known = difference[both]
+    offset = 0
+    if known.size:
+        # Counted from the first one, the differences keep their nanoseconds in a float64.
+        usual = int(known[0]) + int(np.median(known - known[0]))
+        far = both & (np.abs(difference - usual) > CLOCK_TOLERANCE_NS)
+        # Where most are far off, the clocks do not run alike and neither can judge the other.
+        if 2 * np.count_nonzero(far) < known.size:
+            offset = usual
+            replaced |= far
     return np.where(replaced, reference + offset, stamps), offset, int(np.count_nonzero(replaced))
 
 
@@ -109,6 +120,7 @@ class Stream:
         self._header: list[IntArray] = []
         self._payload: list[_Payload] = []
         self._stamps = np.empty(0, np.int64)
+        self._rows: _Payload = np.empty(0)
 
     def decode(self, batch: Batch) -> tuple[IntArray | None, _Payload, BoolArray]:
         """Return header stamps, what the messages hold, and which of them can be read."""
@@ -154,12 +166,10 @@ class Stream:
 
         Returns
         -------
-        first : int or None
-            The first stamp [ns since the epoch]; None if there is no message.
+        middle : int or None
+            The median stamp [ns since the epoch]; None if there is no message.
 
         """
-        for reason, count in self._refused.items():
-            self.warn(f'{count} of {self._seen} messages {reason}: left out')
         if not sum(part.size for part in self._log):
             return None
         log = np.concatenate(self._log)
@@ -179,8 +189,30 @@ class Stream:
                     f'the header stamps are {offset / NS_PER_S:.0f} s away from the publish '
                     'times: moved onto them, so that the streams line up to within the latency'
                 )
-        self._stamps = stamps
-        return int(stamps.min())
+        self._stamps, self._rows = stamps, np.concatenate(self._payload)
+        return int(np.partition(stamps, stamps.size // 2)[stamps.size // 2])
+
+    def keep_near(self, middle_ns: int) -> int | None:
+        """
+        Leave out the messages whose times cannot belong to the trial.
+
+        Parameters
+        ----------
+        middle_ns : int
+            A time within the trial [ns since the epoch].
+
+        Returns
+        -------
+        first : int or None
+            The first stamp that stays [ns since the epoch]; None if there is none.
+
+        """
+        near = np.abs(self._stamps - middle_ns) <= LONGEST_TRIAL_NS
+        self.refuse('are over a day away from the trial', int(np.count_nonzero(~near)))
+        self._stamps, self._rows = self._stamps[near], self._rows[near]
+        for reason, count in self._refused.items():
+            self.warn(f'{count} of {self._seen} messages {reason}: left out')
+        return int(self._stamps.min()) if self._stamps.size else None
 
     def in_order(self, start_ns: int) -> Timed:
         """
@@ -194,7 +226,7 @@ class Stream:
         """
         if self._stamps.size == 0:
             return Timed(np.empty(0), np.empty(0))
-        stamps, payload = self._stamps, np.concatenate(self._payload)
+        stamps, payload = self._stamps, self._rows
         if payload.dtype == np.float64:
             finite = np.isfinite(payload)
             if not finite.all():

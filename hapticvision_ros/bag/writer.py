@@ -79,6 +79,12 @@ def _definition(msgtype: str) -> tuple[bytes, str]:
     return text.encode(), store.hash_rihs01(msgtype)
 
 
+def preload() -> None:
+    """Look up the definitions of the contract's types: the first time takes seconds."""
+    for topic in TOPICS:
+        _definition(topic.msgtype)
+
+
 def _offered_qos(qos: Qos) -> list[dict[str, Any]]:
     """Return the publisher's quality of service as rosbag2 spells it in version 9."""
     return [

@@ -31,7 +31,7 @@ from typing import Final
 
 from hapticvision_ros.cli import cell
 from hapticvision_ros.cli.fit import fit_bags, print_tables, write_results
-from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.errors import HapticVisionError, InputError
 from hapticvision_ros.share import share_folder
 
 SILICONE_VARIABLE: Final = 'HAPTICVISION_SILICONE'
@@ -43,16 +43,27 @@ EXPERIMENT: Final = (
     *('--speeds', '0.004', '0.008'),
     *('--depths', '0.005', '0.008'),
     *('--repeats', '1'),
-    *('--hold-time', '5'),
+    *('--hold-time', '6'),
     *('--recover-time', '4'),
     *('--rest-time', '0.5'),
 )
-RANGE_SENSOR: Final = 'range_sensor_driver.yaml'
-CLOUD_SIZE: Final = {'width': 320, 'height': 240}
-"""A quarter of the sensor's points: a demo need not fill a gigabyte of disk."""
+OWN_PARAMETERS: Final = {
+    # A demo need not fill a gigabyte of disk.
+    'range_sensor_driver.yaml': {'width': 160, 'height': 120},
+    # Nothing is there to be hurt, and the machine may have other work to do.
+    'arm_push_controller.yaml': {'stale_time': 0.5},
+}
+"""Where the demo differs from the package's own configuration."""
+INTERRUPTED: Final = 130
 LARGEST_DOMAIN: Final = 101
 """The ports of larger ROS domains may collide with the system's own."""
 ENOUGH_TO_HOLD_OUT: Final = 3
+
+
+class DemoError(HapticVisionError):
+    """The experiment of the demo has failed."""
+
+    exit_code = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,15 +94,20 @@ def run(args: argparse.Namespace) -> int:
     measured = _silicone_csv(args.silicone)
     out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
     code = _experiment(out, args.domain)
-    if code:
+    if code == INTERRUPTED:
         return code
+    if code:
+        raise DemoError(
+            'the experiment did not succeed, for the reason that the last lines above give; its '
+            f'bags so far are in {out / "bags"}.'
+        )
     recorded = sorted(
         path.parent
         for path in (out / 'bags').glob('trial_*/metadata.yaml')
         if not path.parent.name.endswith(('_aborted', '_incomplete'))
     )
     if not recorded:
-        raise InputError(
+        raise DemoError(
             f'no trial in {out / "bags"} is complete, so there is nothing to fit: see the '
             'messages of the nodes above, and try again on an idle machine.'
         )
@@ -140,12 +156,13 @@ def _write_config(folder: Path) -> None:
     """
     import yaml
 
-    text = (share_folder() / 'config' / RANGE_SENSOR).read_text(encoding='utf-8')
-    parameters = yaml.safe_load(text)
-    parameters['/**']['ros__parameters'].update(CLOUD_SIZE)
     try:
         folder.mkdir(parents=True)
-        (folder / RANGE_SENSOR).write_text(yaml.safe_dump(parameters), encoding='utf-8')
+        for name, values in OWN_PARAMETERS.items():
+            text = (share_folder() / 'config' / name).read_text(encoding='utf-8')
+            parameters = yaml.safe_load(text)
+            parameters['/**']['ros__parameters'].update(values)
+            (folder / name).write_text(yaml.safe_dump(parameters), encoding='utf-8')
     except OSError as error:
         raise InputError(
             f'{folder} cannot be written ({error.strerror}): choose another --out.'

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     options = [str(args.bag), '--rate', repr(args.rate)]
     with Supervisor(ros_environment(args.domain)) as supervisor:
         if not args.play_only:
-            simulated = ['--ros-args', '-p', 'use_sim_time:=true']
+            simulated = ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'exact_replay:=true']
             from_points = DISPLACEMENT_HEIGHT not in playback.topics and POINTS in playback.topics
             source = playback.provenance.get('displacement_source', '')
             fitter = [

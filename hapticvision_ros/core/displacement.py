@@ -113,6 +113,7 @@ class DisplacementTracker:
         self._heights: list[float] = []
         self._counts: list[int] = []
         self._pushed = False
+        self._lowest_tool_height = np.inf
 
     @property
     def original_height(self) -> float | None:
@@ -155,9 +156,13 @@ class DisplacementTracker:
             height, count = surface
         original = self.original_height
         level = height if height is not None else original
-        if level is not None and tool_height - level < settings.tool_clearance:
-            self._pushed = True
-            return None
+        self._lowest_tool_height = min(self._lowest_tool_height, tool_height)
+        if level is not None:
+            # Also a surface that was hidden when the tool came down has been pushed.
+            if self._lowest_tool_height - level < settings.tool_clearance:
+                self._pushed = True
+            if tool_height - level < settings.tool_clearance:
+                return None
         if height is None or count < settings.least_points:
             return None
         if not self._pushed and len(self._heights) < settings.most_frames:
@@ -273,10 +278,16 @@ def displacement_from_clouds(
             heights.append(height)
     if tracker is None:
         return None, (f'The clouds give no displacement height: {refusal}.',)
+    if tracker.original_height is None:
+        return None, (
+            *warnings,
+            'The clouds give no displacement height: the surface at the contact point was not '
+            'seen before the push.',
+        )
     if len(times) < 2:
         return None, (
             *warnings,
-            f'The clouds give no displacement height: the surface at the contact point was seen '
+            'The clouds give no displacement height: the surface at the contact point was seen '
             f'free of the tool in {len(times)} of {used} frames.',
         )
     return Signal(np.array(times), np.array(heights)), tuple(warnings)

@@ -36,10 +36,39 @@ RETRACT_PATIENCE: Final = 2.0
 
 
 class Reading(NamedTuple):
-    """A value and when it was received [s], by the clock that `PushControl.step` is given."""
+    """A value and when it was measured [s], by the clock that `PushControl.step` is given."""
 
     t: float
     value: float
+
+
+class MeasuredTime:
+    """
+    When a sample was measured, by the receiver's clock, from a stamp by another clock.
+
+    What is received late (a full queue, a starved driver) must not look fresh. The clocks differ
+    by an unknown offset: the fastest sample so far is taken to have come without delay, and the
+    delay of the others is counted from it.
+
+    Parameters
+    ----------
+    largest_drift : float
+        How much the two clocks may run apart [s/s].
+
+    """
+
+    def __init__(self, largest_drift: float = 2e-4) -> None:
+        self._largest_drift = largest_drift
+        self._offset = inf
+        self._received = -inf
+
+    def of(self, stamp: float, received: float) -> float:
+        """Return when the sample with this stamp [s], received at `received` [s], was measured."""
+        if isfinite(self._received):
+            self._offset += self._largest_drift * (received - self._received)
+        self._received = received
+        self._offset = min(self._offset, received - stamp)
+        return stamp + self._offset
 
 
 class Command(NamedTuple):

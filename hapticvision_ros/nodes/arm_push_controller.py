@@ -15,8 +15,8 @@
 """
 Arm push controller: owns the arm, runs one push at a time within limits, and can always stop.
 
-One thread reads the arm, one runs the control law at its own fixed rate; callbacks only store. A
-back end's `read` and `command` are therefore called from two threads.
+One thread reads the arm, one takes the load cell's samples as they come, one runs the control law
+at its own fixed rate. A back end's `read` and `command` are therefore called from two threads.
 """
 
 import threading
@@ -37,6 +37,7 @@ from hapticvision_ros.core.devices import Arm
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.push_control import (
     Command,
+    MeasuredTime,
     PushControl,
     PushGoal,
     PushLimits,
@@ -44,10 +45,13 @@ from hapticvision_ros.core.push_control import (
 )
 from hapticvision_ros.nodes.conversions import (
     contact_force,
+    ns_from_stamp,
+    NS_PER_S,
     point_from_message,
     scalar_to_message,
     text_to_message,
 )
+from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_service, create_subscription
 from hapticvision_ros.nodes.runtime import CellNode, run
@@ -233,6 +237,7 @@ class ArmPushController(CellNode):
         self._limits = PushLimits(**{name: values.real(name) for name in _LIMIT_PARAMETERS})
         self._period = 1.0 / values.real('control_rate')
         self._enabled = False
+        self._force_time, self._tool_time = MeasuredTime(), MeasuredTime()
         self._force: Reading | None = None
         self._tool: Reading | None = None
         self._surface_height: float | None = None
@@ -245,12 +250,13 @@ class ArmPushController(CellNode):
         self._last_command: Command | None = None
         self._arm: Arm = connect_arm(values.integer('simulated_world_port'))
         values.add_check(self._check_change)
-        create_subscription(self, WRENCH, self._on_wrench)
+        self._wrenches = Intake.of(self, WRENCH)
         create_subscription(self, CONTACT_POINT, self._on_contact_point)
         create_service(self, ENABLE, self._on_enable)
         create_service(self, PUSH, self._on_start)
         create_service(self, STOP, self._on_stop)
         self.spawn(self._read, 'arm reader')
+        self.spawn(self._listen, 'load cell reader')
         self.spawn(self._run, 'push control')
 
     def close(self) -> None:
@@ -263,8 +269,14 @@ class ArmPushController(CellNode):
             self._publish(Command(0.0, control.phase))
         self._arm.close()
 
-    def _on_wrench(self, message: Any) -> None:
-        self._force = Reading(time.monotonic(), contact_force(message))
+    def _listen(self) -> None:
+        while not self.stopping.is_set():
+            if not self._wrenches.wait(_IDLE_WAIT):
+                continue
+            for message, _, _ in self._wrenches.take():
+                stamp = ns_from_stamp(message.header.stamp) / NS_PER_S
+                measured = self._force_time.of(stamp, time.monotonic())
+                self._force = Reading(measured, contact_force(message))
 
     def _on_contact_point(self, message: Any) -> None:
         self._surface_height = point_from_message(message)[2]
@@ -330,7 +342,8 @@ class ArmPushController(CellNode):
         while not self.stopping.is_set():
             state = self._arm.read(timeout)[-1]
             now = time.monotonic()
-            self._tool = Reading(now, state.tool_height)
+            measured = self._tool_time.of(state.stamp_ns / NS_PER_S, now)
+            self._tool = Reading(measured, state.tool_height)
             if now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval

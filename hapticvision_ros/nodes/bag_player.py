@@ -43,6 +43,7 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.playback import Playback
 from hapticvision_ros.core.errors import HapticVisionError, InputError, UsageError
+from hapticvision_ros.nodes.clock import CLOCK
 from hapticvision_ros.nodes.conversions import stamp_from_ns, values_from_status
 from hapticvision_ros.nodes.qos import (
     create_client,
@@ -51,7 +52,7 @@ from hapticvision_ros.nodes.qos import (
     publisher_profile,
     relative_name,
 )
-from hapticvision_ros.nodes.rheology_fitter import SYMBOLS
+from hapticvision_ros.nodes.rheology_fitter import SYMBOLS, TRIAL
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
@@ -97,10 +98,11 @@ class BagPlayer:
         self._node = rclpy.create_node(NAME)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._clock = self._node.create_publisher(Clock, '/clock', QoSProfile(depth=QUEUE))
+        self._clock = self._node.create_publisher(Clock, CLOCK, QoSProfile(depth=QUEUE))
         self._publishers = {topic: self._publisher(topic) for topic in playback.topics}
         self._results: list[Any] = []
-        create_subscription(self._node, RHEOLOGY_RESULT, self._results.append)
+        create_subscription(self._node, RHEOLOGY_RESULT, self._on_result)
+        self._trial = ''
         self._ended = False
 
     def close(self) -> None:
@@ -156,17 +158,21 @@ class BagPlayer:
 
         """
         deadline = time.monotonic() + START_DEADLINE
-        wanted = {topic.name for topic in self._publishers if topic is not POINTS}
-        while not wanted <= set(self._call(RESET).message.split()):
+        wanted = {topic.name for topic in self._publishers if topic is not POINTS} | {CLOCK}
+        while True:
+            number, *heard = self._call(RESET).message.split()
+            if wanted <= set(heard):
+                break
             if time.monotonic() > deadline:
                 raise ReplayError('the fitter does not hear the bag.')
-        self._results.clear()
+        self._trial = number
 
     def play(self) -> None:
         """Publish all messages, each at its time."""
         playback, rate = self._playback, self._rate
         begin, start_ns = time.monotonic(), playback.start_ns
         ticked = shown = begin
+        self._tick(start_ns)
         for message in playback:
             due = begin + (message.sent_ns - start_ns) * 1e-9 / rate
             while (left := due - (now := time.monotonic())) > 0.0:
@@ -203,6 +209,11 @@ class BagPlayer:
         if not self._spin_until(lambda: bool(self._results), FIT_DEADLINE):
             raise ReplayError(f'the fitter gave no result in {FIT_DEADLINE:g} s.')
         return self._results[-1]
+
+    def _on_result(self, message: Any) -> None:
+        """Keep the result of this bag; an earlier one is latched, and comes late."""
+        if self._trial and values_from_status(message).get(TRIAL) == self._trial:
+            self._results.append(message)
 
     def _publisher(self, topic: Topic) -> Any:
         profile = publisher_profile(topic.qos)

@@ -25,6 +25,7 @@ from typing import Any, Final
 
 from hapticvision_ros.nodes.conversions import ns_from_stamp
 from hapticvision_ros.nodes.intake import Intake
+from hapticvision_ros.nodes.parameters import ParameterSpec
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
@@ -32,21 +33,24 @@ from rosgraph_msgs.msg import Clock
 
 type Nanoseconds = NDArray[np.int64]
 
-OWN_TICK_NS: Final = 200_000
-"""A tick that was sent no longer than this before a message was sent for it [ns]."""
+EXACT_REPLAY: Final = ParameterSpec(
+    'exact_replay',
+    'bool',
+    '-',
+    'With use_sim_time: whether a tick of /clock is sent right before each message and nothing '
+    'may be lost, as in "hapticvision replay" and "ros2 bag play --clock-topics-all".',
+    read_only=True,
+)
+"""The parameter that a node with a `MessageClock` declares."""
+CLOCK: Final = '/clock'
 CLOCK_DEPTH: Final = 2000
 MOST_TICKS: Final = 4_000_000
 """Ticks that are kept at most: 64 MB."""
 
 
-def replayed_times(sent: Nanoseconds, tick_sent: Nanoseconds, tick: Nanoseconds) -> Nanoseconds:
+def last_ticks(sent: Nanoseconds, tick_sent: Nanoseconds, tick: Nanoseconds) -> Nanoseconds:
     """
-    Return the bag times of messages from when they were sent in the replay.
-
-    A player that sends a tick right before each message (``ros2 bag play --clock-topics-all``,
-    and this package's own) tells the times exactly: where most messages have a tick of their own,
-    each gets the last tick before it. Otherwise the ticks come at a rate of their own
-    (``ros2 bag play --clock``), and the times are interpolated between them.
+    Return the bag times of messages each of which has a tick of its own right before it.
 
     Parameters
     ----------
@@ -60,14 +64,29 @@ def replayed_times(sent: Nanoseconds, tick_sent: Nanoseconds, tick: Nanoseconds)
     Returns
     -------
     ndarray of int64, shape (n,)
-        Bag times [ns].
+        Bag times [ns]: exact, whatever the pace of the player.
 
     """
     before = np.searchsorted(tick_sent, sent, side='right') - 1
-    own = (before >= 0) & (sent - tick_sent[np.maximum(before, 0)] <= OWN_TICK_NS)
-    if 2 * np.count_nonzero(own) > sent.size:
-        snapped: Nanoseconds = tick[np.maximum(before, 0)]
-        return snapped
+    last: Nanoseconds = tick[np.maximum(before, 0)]
+    return last
+
+
+def between_ticks(sent: Nanoseconds, tick_sent: Nanoseconds, tick: Nanoseconds) -> Nanoseconds:
+    """
+    Return the bag times of messages between ticks that come at a rate of their own.
+
+    Parameters
+    ----------
+    sent, tick_sent, tick : ndarray of int64
+        As for `last_ticks`.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Bag times [ns], interpolated: as exact as the pace of the player.
+
+    """
     # Relative to the first tick: a double holds an epoch in nanoseconds to 256 ns only.
     x = (tick_sent - tick_sent[0]).astype(np.float64)
     y = (tick - tick[0]).astype(np.float64)
@@ -86,17 +105,25 @@ class MessageClock:
     Parameters
     ----------
     node : rclpy.node.Node
-        Its owner; the node's ``use_sim_time`` decides whether this is a replay.
+        Its owner, which has declared `EXACT_REPLAY`; its ``use_sim_time`` decides whether
+        this is a replay.
 
     """
 
     def __init__(self, node: Any) -> None:
         self.replay = bool(node.get_parameter('use_sim_time').value)
+        self.exact = self.replay and bool(node.get_parameter(EXACT_REPLAY.name).value)
+        self._times_of = last_ticks if self.exact else between_ticks
         self._sent = array('q')
         self._tick = array('q')
         if self.replay:
             profile = QoSProfile(depth=CLOCK_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-            self._intake = Intake(node, Clock, '/clock', profile, raw=False)
+            self._intake = Intake(node, Clock, CLOCK, profile, raw=False)
+
+    @property
+    def matched(self) -> bool:
+        """Return whether someone tells the time of the replay, if this is one."""
+        return self.replay and self._intake.matched
 
     def update(self) -> None:
         """Take the ticks that have come."""
@@ -109,8 +136,9 @@ class MessageClock:
 
     def forget(self, keep: int) -> None:
         """Forget all ticks but the last `keep`."""
-        del self._sent[:-keep]
-        del self._tick[:-keep]
+        stop = max(0, len(self._sent) - keep)
+        del self._sent[:stop]
+        del self._tick[:stop]
 
     def times(self, sent: Nanoseconds) -> Nanoseconds:
         """
@@ -122,6 +150,6 @@ class MessageClock:
             return sent
         if not self._tick:
             return sent[:0]
-        return replayed_times(
+        return self._times_of(
             sent, np.array(self._sent, dtype=np.int64), np.array(self._tick, dtype=np.int64)
         )

@@ -29,6 +29,7 @@ from hapticvision_ros.nodes.conversions import (
     vector_to_message,
     xyz_from_message,
 )
+from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import (
     create_publisher,
@@ -139,16 +140,18 @@ class ContactPointPlanner(CellNode):
     def __init__(self) -> None:
         super().__init__(NAME, PARAMETERS)
         self._cloud_class = interface_class(POINTS.msgtype)
+        self._tool_heights = Intake.of(self, TOOL_HEIGHT)
         self._tool_height: float | None = None
         self._waiting: Any = None
         self._contact_point = create_publisher(self, CONTACT_POINT)
         self._push_direction = create_publisher(self, PUSH_DIRECTION)
         create_subscription(self, POINTS, self._on_cloud, raw=True)
-        create_subscription(self, TOOL_HEIGHT, self._on_tool_height)
         create_service(self, PLAN, self._plan, callback_group=ReentrantCallbackGroup())
 
-    def _on_tool_height(self, message: Any) -> None:
-        self._tool_height = float(message.data)
+    def _latest_tool_height(self) -> float | None:
+        for message, _, _ in self._tool_heights.take():
+            self._tool_height = float(message.data)
+        return self._tool_height
 
     def _on_cloud(self, serialised: bytes) -> None:
         if self._waiting is not None:
@@ -183,7 +186,7 @@ class ContactPointPlanner(CellNode):
             plans.append(
                 plan_contact(
                     xyz_from_message(message),
-                    ceiling=self._tool_height,
+                    ceiling=self._latest_tool_height(),
                     settings=self._settings(),
                 )
             )

@@ -49,6 +49,7 @@ from hapticvision_ros.bag.contract import (
     TOPICS,
     WRENCH,
 )
+from hapticvision_ros.bag.writer import preload
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.experiment import (
     Deadlines,
@@ -134,6 +135,14 @@ PARAMETERS: Final = (
     ),
     ParameterSpec(
         'feedback_period', 'double', 's', 'Longest time between two reports.', 0.05, 60.0
+    ),
+    ParameterSpec(
+        'retry_period',
+        'double',
+        's',
+        'Pause before a service that refuses to prepare a push is asked again.',
+        0.05,
+        60.0,
     ),
     ParameterSpec(
         'tick_period',
@@ -231,6 +240,8 @@ class ExperimentOrchestrator(CellNode):
         self._folder = Path()
         self._recording: Recording | None = None
         self._call: _Call | None = None
+        self._asked: tuple[Service, Any] = (STOP, None)
+        self._ask_again_at = 0.0
         self._sample: _NewSample | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
@@ -249,6 +260,7 @@ class ExperimentOrchestrator(CellNode):
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
         self._status_publisher.publish(action.GoalStatusArray())
+        self.spawn(preload, 'preload')
         # Deadlines count real seconds, also where the other nodes follow a simulated clock.
         self.create_timer(
             self.parameters.real('tick_period'),
@@ -442,13 +454,13 @@ class ExperimentOrchestrator(CellNode):
                     else:
                         experiment.done(now)
             case Step.PLAN | Step.TARE | Step.ENABLE:
-                self._on_answer(experiment, now, experiment.done)
+                self._prepare(experiment, now, experiment.done)
             case Step.CONFIGURE:
                 self._on_configured(experiment, now)
             case Step.RECORD:
                 self._on_recording(experiment, now)
             case Step.START:
-                self._on_answer(experiment, now, experiment.started)
+                self._prepare(experiment, now, experiment.started)
                 self._watch_disk(experiment, now)
             case Step.PUSH:
                 self._watch_disk(experiment, now)
@@ -470,6 +482,7 @@ class ExperimentOrchestrator(CellNode):
         assert self._experiment is not None
         self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
         self._call = _Call(self._clients_of[service.name], request)
+        self._asked = (service, request)
 
     def _drop_call(self) -> None:
         if self._call is not None:
@@ -488,6 +501,23 @@ class ExperimentOrchestrator(CellNode):
         else:
             step = experiment.step.name.lower()
             experiment.failed(f'{experiment.trial.name}: {step} refused: {answer.message}', now)
+
+    def _prepare(self, experiment: Experiment, now: float, then: Callable[[float], None]) -> None:
+        """Go on when a service agrees; ask one that refuses again, since it may just start."""
+        service, request = self._asked
+        if self._call is None:
+            if now >= self._ask_again_at:
+                self._call = _Call(self._clients_of[service.name], request)
+            return
+        answer = self._call.answer()
+        if answer is None:
+            return
+        if answer.success:
+            then(now)
+            return
+        self._drop_call()
+        self._ask_again_at = now + self.parameters.real('retry_period')
+        experiment.waiting_for = f'{service.name}, which refuses: {answer.message}'
 
     def _on_configured(self, experiment: Experiment, now: float) -> None:
         answer = self._call.answer() if self._call is not None else None
@@ -611,7 +641,9 @@ class ExperimentOrchestrator(CellNode):
         )
         message.level = _LEVELS[experiment.status]
         self._result_publisher.publish(message)
-        self.get_logger().info(f'goal {self._goal_id()}: {experiment.status.name}')
+        self.get_logger().info(
+            f'goal {self._goal_id()}: {experiment.status.name}; {message.message}'
+        )
 
 
 def _set_request(values: dict[str, float]) -> Any:

@@ -17,15 +17,19 @@ Streams that are taken in batches: what a node needs that only stores its sample
 
 An executor wakes and builds its wait set anew for each message, which costs several times what
 the message itself does. A node that acts on a trial rather than on a sample lets its messages
-wait in the middleware's queue, and takes all of them at each tick of its timer.
+wait in the middleware's queue, and takes all of them at each tick of its timer; one that needs
+each sample at once gives the stream a thread of its own, which waits for nothing else.
 """
 
 from collections.abc import Iterator
 from typing import Any, Final, Self
 
 from hapticvision_ros.bag.contract import POINTS, Topic
+from hapticvision_ros.nodes.conversions import NS_PER_S
 from hapticvision_ros.nodes.qos import interface_class, relative_name, subscription_profile
 from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import QoSReliabilityPolicy
 
 SCALAR_DEPTH: Final = 2000
 """Queue length of all but clouds: a replay may be many times faster than the cell."""
@@ -67,11 +71,15 @@ class Intake:
         self._subscription = node.create_subscription(
             kind, name, _never, profile, callback_group=_Parked(), raw=raw
         )
+        # One subscription and nothing else, as in rclpy's own `wait_for_message`.
+        self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
 
     @classmethod
-    def of(cls, node: Any, topic: Topic, *, raw: bool = False) -> Self:
+    def of(cls, node: Any, topic: Topic, *, raw: bool = False, reliable: bool = False) -> Self:
         """Return the intake of a contract topic, in the node's namespace."""
         profile = subscription_profile(topic.qos)
+        if reliable:
+            profile.reliability = QoSReliabilityPolicy.RELIABLE
         if topic is not POINTS:
             profile.depth = max(profile.depth, SCALAR_DEPTH)
         kind = interface_class(topic.msgtype)
@@ -79,8 +87,31 @@ class Intake:
 
     @property
     def matched(self) -> bool:
-        """Whether some publisher is heard."""
+        """Return whether some publisher is heard."""
         return bool(self._subscription.get_publisher_count())
+
+    def wait(self, timeout: float) -> bool:
+        """
+        Wait for the next message; for one thread at a time.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest wait [s].
+
+        Returns
+        -------
+        bool
+            Whether there is something to take.
+
+        """
+        wait_set = self._wait_set
+        handle = self._subscription.handle
+        with handle:
+            wait_set.clear_entities()
+            wait_set.add_subscription(handle)
+            wait_set.wait(round(timeout * NS_PER_S))
+            return bool(wait_set.get_ready_entities('subscription'))
 
     def take(self) -> Iterator[tuple[Any, int, int]]:
         """

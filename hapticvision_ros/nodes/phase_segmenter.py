@@ -16,9 +16,11 @@
 Tell the phases of the running trial from its signals alone, as they come.
 
 A trial begins at the phase ``approach`` of ``/experiment/phase``. Where nobody publishes that
-topic, it begins when the tool comes down again after a recovery.
+topic, it begins when the tool comes down again after a recovery; and in any case when time jumps,
+as between two replayed bags.
 """
 
+from bisect import bisect_right
 import math
 from typing import Final
 
@@ -32,7 +34,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.core.segmentation import OnlineSegmenter, PhaseEvent, SegmentationOptions
-from hapticvision_ros.nodes.clock import MessageClock
+from hapticvision_ros.nodes.clock import EXACT_REPLAY, MessageClock
 from hapticvision_ros.nodes.conversions import (
     contact_force,
     ns_from_stamp,
@@ -49,6 +51,7 @@ from rclpy.clock import Clock, ClockType
 NAME: Final = 'phase_segmenter'
 
 PARAMETERS: Final = (
+    EXACT_REPLAY,
     ParameterSpec(
         'contact_sigmas',
         'double',
@@ -95,6 +98,15 @@ PARAMETERS: Final = (
         read_only=True,
     ),
     ParameterSpec(
+        'longest_pause',
+        'double',
+        's',
+        'Samples that pause for longer, or whose time goes back by more, are of another trial.',
+        1.0,
+        36000.0,
+        read_only=True,
+    ),
+    ParameterSpec(
         'tick_period',
         'double',
         's',
@@ -106,6 +118,9 @@ PARAMETERS: Final = (
 )
 
 _TICKS: Final = 1000
+_PATIENCE: Final = 25
+"""A stream that is silent for so many periods is not waited for."""
+_BEGIN, _HEIGHT, _FORCE, _LAST = range(4)
 _NS_PER_S: Final = 1e9
 
 
@@ -122,16 +137,22 @@ class PhaseSegmenter(CellNode):
             loss_fraction=values.real('loss_fraction'),
         )
         self._approach_travel = values.real('approach_travel')
-        self._clock = MessageClock(self)
+        self._longest_pause_ns = round(values.real('longest_pause') * _NS_PER_S)
+        self._message_clock = MessageClock(self)
         self._segmenter = OnlineSegmenter(self._options)
         self._start_ns: int | None = None
+        self._newest_ns = 0
+        self._waiting: list[tuple[int, int, float]] = []
+        self._newest: dict[int, int] = {}
+        self._alone = 0
         self._told: str | None = None
         self._commanded = False
         self._highest: float | None = None
 
+        exact = self._message_clock.exact
         self._phase_intake = Intake.of(self, PHASE)
-        self._wrench_intake = Intake.of(self, WRENCH)
-        self._height_intake = Intake.of(self, TOOL_HEIGHT)
+        self._wrench_intake = Intake.of(self, WRENCH, reliable=exact)
+        self._height_intake = Intake.of(self, TOOL_HEIGHT, reliable=exact)
         self._phase_publisher = create_publisher(self, DETECTED_PHASE)
         self._time_publishers = {
             'contact': create_publisher(self, CONTACT_TIME),
@@ -146,28 +167,51 @@ class PhaseSegmenter(CellNode):
 
     def _on_tick(self) -> None:
         """Take what has come, and give it to the segmenter in the order of time."""
-        for message, _, _ in self._phase_intake.take():
-            self._commanded = True
-            if message.data == 'approach':
-                self._begin()
+        phases = [
+            (sent, message.data == 'approach') for message, sent, _ in self._phase_intake.take()
+        ]
         forces = [
-            (ns_from_stamp(message.header.stamp), contact_force(message))
+            (ns_from_stamp(message.header.stamp), _FORCE, contact_force(message))
             for message, _, _ in self._wrench_intake.take()
         ]
         heights = [(sent, float(message.data)) for message, sent, _ in self._height_intake.take()]
         # After the messages, so that the tick that was sent before each of them is there.
-        self._clock.update()
-        self._clock.forget(_TICKS)
-        sent = np.array([item[0] for item in heights], dtype=np.int64)
-        stamps = self._clock.times(sent)
-        samples = [(stamp, True, force) for stamp, force in forces]
-        samples += [
-            (int(stamp), False, height)
-            for stamp, (_, height) in zip(stamps, heights[: stamps.size], strict=True)
+        self._message_clock.update()
+        self._commanded = self._commanded or bool(phases)
+        begins = self._times([sent for sent, begins in phases if begins])
+        stamps = self._times([sent for sent, _ in heights])
+        self._message_clock.forget(_TICKS)
+        self._waiting += forces
+        self._waiting += [
+            (stamp, _HEIGHT, value)
+            for stamp, (_, value) in zip(stamps, heights[: len(stamps)], strict=True)
         ]
-        samples.sort()
-        for stamp, is_force, value in samples:
-            self._add(stamp, is_force, value)
+        self._waiting += [(stamp, _BEGIN, 0.0) for stamp in begins]
+        if forces:
+            self._newest[_FORCE] = max(stamp for stamp, _, _ in forces)
+        if stamps:
+            self._newest[_HEIGHT] = max(stamps)
+        self._alone = 0 if forces and stamps else self._alone + 1
+        self._use()
+
+    def _times(self, sent: list[int]) -> list[int]:
+        """Return when messages were measured [ns], given when they were sent."""
+        times: list[int] = self._message_clock.times(np.array(sent, dtype=np.int64)).tolist()
+        return times
+
+    def _use(self) -> None:
+        """Use all up to where both streams have come, or all if one of them has stopped."""
+        self._waiting.sort()
+        first = len(self._waiting)
+        if self._alone < _PATIENCE and len(self._newest) == len((_FORCE, _HEIGHT)):
+            first = bisect_right(self._waiting, (min(self._newest.values()), _LAST, 0.0))
+        ready = self._waiting[:first]
+        del self._waiting[:first]
+        for stamp, kind, value in ready:
+            if kind == _BEGIN:
+                self._begin()
+            else:
+                self._add(stamp, kind == _FORCE, value)
 
     def _begin(self) -> None:
         """Begin a new trial."""
@@ -180,9 +224,12 @@ class PhaseSegmenter(CellNode):
         """Give the segmenter one sample."""
         if not math.isfinite(value):
             return
+        if self._start_ns is not None and abs(stamp - self._newest_ns) > self._longest_pause_ns:
+            self._begin()
         if self._start_ns is None:
-            self._start_ns = stamp
+            self._start_ns = self._newest_ns = stamp
             self._tell(self._segmenter.phase)
+        self._newest_ns = max(self._newest_ns, stamp)
         t = (stamp - self._start_ns) / _NS_PER_S
         if is_force:
             events = self._segmenter.add_force(t, value)

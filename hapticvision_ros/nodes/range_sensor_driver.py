@@ -37,6 +37,7 @@ from hapticvision_ros.nodes.conversions import (
     point_from_message,
     scalar_to_message,
 )
+from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_subscription
 from hapticvision_ros.nodes.runtime import CellNode, run
@@ -195,7 +196,7 @@ class RangeSensorDriver(CellNode):
             depth_noise=values.real('simulated_depth_noise'),
             seed=values.integer('simulated_seed'),
         )
-        create_subscription(self, TOOL_HEIGHT, self._on_tool_height)
+        self._tool_heights_sent = Intake.of(self, TOOL_HEIGHT)
         create_subscription(self, CONTACT_POINT, self._on_contact_point)
         create_subscription(self, PHASE, self._on_phase)
         self.spawn(self._grab, 'range sensor reader')
@@ -204,9 +205,6 @@ class RangeSensorDriver(CellNode):
         """Stop the reader, then let go of the range sensor."""
         super().close()
         self._sensor.close()
-
-    def _on_tool_height(self, message: Any) -> None:
-        self._tool_heights.append((self.get_clock().now().nanoseconds, float(message.data)))
 
     def _on_contact_point(self, message: Any) -> None:
         if message.header.frame_id != CONTACT_POINT.frame_id:
@@ -242,10 +240,10 @@ class RangeSensorDriver(CellNode):
             self._displacement.publish(scalar_to_message(height))
 
     def _tool_height_at(self, stamp_ns: int) -> float | None:
-        """Return the tool height that was received nearest to a stamp."""
-        nearest = min(
-            self._tool_heights.copy(), key=lambda item: abs(item[0] - stamp_ns), default=None
-        )
+        """Return the tool height that was sent nearest to a stamp."""
+        for message, sent_ns, _ in self._tool_heights_sent.take():
+            self._tool_heights.append((sent_ns, float(message.data)))
+        nearest = min(self._tool_heights, key=lambda item: abs(item[0] - stamp_ns), default=None)
         if nearest is None or abs(nearest[0] - stamp_ns) > self._tool_age_ns:
             return None
         return nearest[1]

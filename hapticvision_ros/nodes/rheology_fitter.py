@@ -46,7 +46,7 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
-from hapticvision_ros.nodes.clock import MessageClock, Nanoseconds
+from hapticvision_ros.nodes.clock import CLOCK, EXACT_REPLAY, MessageClock, Nanoseconds
 from hapticvision_ros.nodes.conversions import scalar_to_message, status_to_message
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
@@ -60,6 +60,7 @@ from std_msgs.msg import String
 NAME: Final = 'rheology_fitter'
 
 PARAMETERS: Final = (
+    EXACT_REPLAY,
     ParameterSpec(
         'displacement_from_points',
         'bool',
@@ -122,6 +123,9 @@ SYMBOLS: Final = (
 )
 """Names and units of the estimates, as in `hapticvision_ros.core.fit.paper.PaperResult`."""
 
+TRIAL: Final = 'trial'
+"""Key of the number that `/rheology_fitter/reset` has answered."""
+
 _TICKS_BEFORE_A_TRIAL: Final = 1000
 
 
@@ -135,7 +139,7 @@ class _State(Enum):
 class _Job:
     """A trial that is over, as it was received."""
 
-    name: str
+    number: int
     buffer: TrialBuffer
     times: Mapping[str, Nanoseconds]
     source: str
@@ -201,7 +205,7 @@ class RheologyFitter(CellNode):
 
     def __init__(self) -> None:
         super().__init__(NAME, PARAMETERS)
-        self._clock = MessageClock(self)
+        self._message_clock = MessageClock(self)
         self._buffer = TrialBuffer(self.parameters.integer('memory'))
         self._state = _State.COLLECTING
         # Whether someone has said where the trial begins; else it begins at the approach.
@@ -210,12 +214,17 @@ class RheologyFitter(CellNode):
         self._heard = time.monotonic()
         self._trials = 0
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[TrialAnalysis | InputError] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[tuple[int, TrialAnalysis | InputError]] = (
+            queue.SimpleQueue()
+        )
 
         wanted = self.parameters.flag('displacement_from_points')
         # The phase first: the samples that come with it are of the trial that it begins.
         topics = (PHASE, *(t for t in TOPICS if t is not PHASE and (wanted or t is not POINTS)))
-        self._intakes = {topic: Intake.of(self, topic, raw=True) for topic in topics}
+        exact = self._message_clock.exact
+        self._intakes = {
+            topic: Intake.of(self, topic, raw=True, reliable=exact) for topic in topics
+        }
         self._coefficients = {
             symbol: create_publisher(self, topic)
             for symbol, topic in (('K1', K1), ('C1', C1), ('C2', C2))
@@ -249,13 +258,16 @@ class RheologyFitter(CellNode):
         return response
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        """Forget the trial, keep all that comes from now on, answer with the topics heard."""
+        """Forget the trial, and keep all that comes from now on: answer its number and topics."""
         self._take()
         self._begin()
         self._reset = True
+        self._message_clock.forget(0)
         heard = [topic.name for topic, intake in self._intakes.items() if intake.matched]
+        if self._message_clock.matched:
+            heard.append(CLOCK)
         response.success = True
-        response.message = ' '.join(heard)
+        response.message = ' '.join([str(self._trials + 1), *heard])
         return response
 
     def _on_tick(self) -> None:
@@ -263,7 +275,7 @@ class RheologyFitter(CellNode):
         if self._state is _State.ENDING and self._is_complete():
             self._hand_over()
         while not self._results.empty():
-            self._publish(self._results.get())
+            self._publish(*self._results.get())
 
     def _take(self) -> None:
         """Keep what has come."""
@@ -276,7 +288,7 @@ class RheologyFitter(CellNode):
                 if self._state is not _State.IDLE:
                     self._buffer.add(topic, data, sent_ns)
         # After the messages, so that the tick that was sent before each of them is there.
-        self._clock.update()
+        self._message_clock.update()
 
     def _on_phase(self, phase: str, sent_ns: int) -> None:
         if phase == 'approach':
@@ -294,7 +306,7 @@ class RheologyFitter(CellNode):
             self._hand_over()
         self._buffer.close()
         self._buffer = TrialBuffer(self.parameters.integer('memory'))
-        self._clock.forget(_TICKS_BEFORE_A_TRIAL)
+        self._message_clock.forget(_TICKS_BEFORE_A_TRIAL)
         self._state = _State.COLLECTING
         self._ended_ns = None
 
@@ -316,9 +328,11 @@ class RheologyFitter(CellNode):
     def _hand_over(self) -> None:
         """Give the trial to the thread that fits."""
         self._trials += 1
-        times = {name: self._clock.times(sent) for name, sent in self._buffer.sent().items()}
+        times = {
+            name: self._message_clock.times(sent) for name, sent in self._buffer.sent().items()
+        }
         source = self.parameters.text('displacement_source')
-        self._jobs.put(_Job(f'trial {self._trials}', self._buffer, times, source))
+        self._jobs.put(_Job(self._trials, self._buffer, times, source))
         self._buffer = TrialBuffer(self.parameters.integer('memory'))
         self._state = _State.IDLE
 
@@ -331,15 +345,16 @@ class RheologyFitter(CellNode):
                 continue
             try:
                 provenance = {'displacement_source': job.source}
-                self._results.put(analyse(job.buffer.trial(job.name, job.times, provenance)))
+                trial = job.buffer.trial(f'trial {job.number}', job.times, provenance)
+                self._results.put((job.number, analyse(trial)))
             except InputError as error:
-                self._results.put(error)
+                self._results.put((job.number, error))
             finally:
                 job.buffer.close()
 
-    def _publish(self, result: TrialAnalysis | InputError) -> None:
+    def _publish(self, number: int, result: TrialAnalysis | InputError) -> None:
         if isinstance(result, InputError):
-            message = status_to_message('rheology', str(result), {})
+            message = status_to_message('rheology', str(result), {TRIAL: str(number)})
             message.level = DiagnosticStatus.ERROR
             self.get_logger().error(str(result))
         else:
@@ -350,7 +365,8 @@ class RheologyFitter(CellNode):
                 known = known and estimate.known
                 if estimate.value is not None:
                     publisher.publish(scalar_to_message(estimate.value))
-            message = status_to_message('rheology', text, result_values(result), warning=not known)
+            values = {TRIAL: str(number), **result_values(result)}
+            message = status_to_message('rheology', text, values, warning=not known)
             self.get_logger().info(f'{result.trial.name}: {text}')
         self._result.publish(message)
 

@@ -28,6 +28,7 @@ from typing import Any, Final
 from hapticvision_ros.core.errors import HapticVisionError, UsageError
 from hapticvision_ros.nodes.parameters import Parameters, ParameterSpec
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -153,13 +154,19 @@ def _initialise(args: Sequence[str] | None) -> None:
         raise UsageError(f'ROS does not accept the arguments: {reason}') from error
 
 
+def _wake() -> None:
+    """Let the executor return, so that a signal is seen."""
+
+
 def _spin(factory: Callable[[], CellNode], interrupted: threading.Event) -> None:
     node = factory()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    # One timer that wakes the executor costs less than a timeout, which makes a new one each time.
+    node.create_timer(STOP_POLL, _wake, clock=Clock(clock_type=ClockType.STEADY_TIME))
     try:
         while not interrupted.is_set() and not node.stopping.is_set():
-            executor.spin_once(timeout_sec=STOP_POLL)
+            executor.spin_once()
     finally:
         node.close()
         executor.shutdown()

@@ -38,7 +38,7 @@ _ROOM_BESIDE_A_NAME: Final = 0.035
 _COLUMNS: Final = (1.0, 2.3)
 # A layout that is computed from the extent of every label takes longer than all the drawing.
 _MARGINS: Final = {
-    'left': 0.078,
+    'left': 0.1,
     'right': 0.992,
     'bottom': 0.115,
     'top': 0.83,
@@ -46,6 +46,7 @@ _MARGINS: Final = {
     'wspace': 0.12,
 }
 _CLOSE_UP_BELOW: Final = 0.2
+_LABEL_PLACE: Final = -0.085
 _WIDTH_IN: Final = 9.6
 _HEIGHT_IN: Final = 4.3
 _NOISE_BAND_SIGMAS: Final = 2.0
@@ -391,7 +392,7 @@ def svg(panel: Panel, salt: str) -> str:
         if panel.residuals:
             grid[1][0].set_ylabel(f'Residual [{panel.unit}]')
         for axes in grid[:, 0]:
-            axes.yaxis.set_label_coords(-0.052 / shares[0], 0.5)
+            axes.yaxis.set_label_coords(_LABEL_PLACE / shares[0], 0.5)
         handles, labels = grid[0][-1].get_legend_handles_labels()
         figure.legend(
             handles,

@@ -132,6 +132,7 @@ def test_a_wide_point_is_viewed_with_its_step(maker) -> None:
         ({'fields': [('x', 0, F4), ('y', 4, F4), ('z', 10, F4)]}, 'field z lies outside'),
         ({'width': 11}, 'fewer bytes'),
         ({'height': 2, 'row_step': 200}, 'fewer bytes'),
+        ({'height': 2, 'width': 5, 'row_step': 90}, 'fewer bytes'),
     ],
 )
 def test_a_cloud_that_cannot_be_used_is_left_out_with_its_reason(

@@ -24,6 +24,7 @@ from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     PHASE,
     POINTS,
+    PUSH_VELOCITY,
     TOOL_HEIGHT,
     WRENCH,
 )
@@ -103,6 +104,18 @@ def test_of_repeated_stamps_the_first_is_kept(maker, foreign: Foreign) -> None:
     trial = read_trial(foreign(samples))
     np.testing.assert_array_equal(trial.force.value, np.arange(100.0))
     assert '2 of 102 messages repeat a time stamp' in only_warning(trial)
+
+
+def test_of_repeated_stamps_out_of_order_the_first_in_the_file_is_kept(
+    maker, foreign: Foreign
+) -> None:
+    order = np.random.default_rng(3).permutation(60).tolist()
+    samples = [maker.wrench(ms, -float(ms)) for ms in order]
+    samples += [maker.wrench(ms, 99.0) for ms in reversed(order)]
+    samples += [maker.number(TOOL_HEIGHT, ms, 0.0) for ms in range(60)]
+    trial = read_trial(foreign(samples))
+    np.testing.assert_array_equal(trial.force.value, np.arange(60.0))
+    assert any('60 of 120 messages repeat a time stamp' in w for w in trial.warnings)
 
 
 def test_gaps_are_counted(maker, foreign: Foreign) -> None:
@@ -265,6 +278,22 @@ def test_publish_times_that_were_never_set_are_replaced(maker, foreign: Foreign)
     assert '50 publish times are unset or absurd' in only_warning(trial)
 
 
+@pytest.mark.parametrize(
+    ('first_ns', 'interval_ns'), [(0, 0), (10**18, 10 * MS)], ids=['never set', 'fast replay']
+)
+def test_header_stamps_stand_where_the_publish_times_make_no_sense(
+    maker, foreign: Foreign, first_ns: int, interval_ns: int
+) -> None:
+    samples = [
+        maker.wrench(1000 * k, -float(k), publish_ns=first_ns + k * interval_ns)
+        for k in range(100)
+    ]
+    samples += [maker.number(TOOL_HEIGHT, 1000 * k, 0.0) for k in range(100)]
+    trial = read_trial(foreign(samples))
+    np.testing.assert_allclose(trial.force.t, np.arange(100.0), rtol=1e-12)
+    assert DISPLACEMENT_HEIGHT.name in only_warning(trial)
+
+
 def test_a_trial_may_start_at_the_epoch(maker, foreign: Foreign) -> None:
     samples = [
         replace(s, publish_ns=s.publish_ns - START_NS, log_ns=s.log_ns - START_NS)
@@ -285,6 +314,30 @@ def test_times_beyond_any_date_do_not_overflow(maker, foreign: Foreign) -> None:
     ]
     trial = read_trial(foreign(samples))
     assert len(trial.force) >= 100 and trial.warnings
+
+
+@pytest.mark.parametrize('far_ns', [0, 10**9, 3 * 10**18])
+def test_messages_of_another_date_are_left_out(maker, foreign: Foreign, far_ns: int) -> None:
+    samples = maker.trial()
+    for topic in (TOOL_HEIGHT, PUSH_VELOCITY):
+        far = replace(maker.number(topic, 40, 1.0), publish_ns=far_ns, log_ns=far_ns)
+        samples.append(far)
+    trial = read_trial(foreign(samples))
+    assert trial.start_ns == START_NS
+    np.testing.assert_allclose(trial.tool_height.t, np.arange(0, 100, 2) * 1e-3, rtol=1e-12)
+    assert len(trial.push_velocity) == 1
+    assert [w.split(': ')[1] for w in trial.warnings] == [
+        '1 of 51 messages are over a day away from the trial',
+        '1 of 2 messages are over a day away from the trial',
+    ]
+
+
+def test_a_needed_topic_of_another_date_is_refused(maker, foreign: Foreign) -> None:
+    samples = [s for s in maker.trial() if s.topic != TOOL_HEIGHT.name]
+    far = maker.number(TOOL_HEIGHT, 0, 1.0)
+    samples.append(replace(far, publish_ns=10**9, log_ns=10**9))
+    with pytest.raises(InputError, match='1 of its 1 messages are over a day away'):
+        read_trial(foreign(samples))
 
 
 def test_streams_that_do_not_overlap_are_told(maker, foreign: Foreign) -> None:
@@ -373,6 +426,21 @@ def test_a_cut_in_the_middle_loses_at_most_one_chunk(
     # The index of 50 to 200 bytes a chunk and the summary lie behind the cut.
     assert len(trial.force) > 100
     assert sum(1 for _ in trial.clouds) == 2
+
+
+@pytest.mark.parametrize('options', FORMATS, ids=['none', 'zstd', 'lz4', 'unchunked'])
+def test_a_chunk_that_is_cut_is_read_up_to_the_cut(maker, foreign: Foreign, options: dict) -> None:
+    rng = np.random.default_rng(4)
+    samples = [maker.number(TOOL_HEIGHT, 0, 0.05)]
+    samples += [maker.wrench(k, value) for k, value in enumerate(rng.normal(size=4000))]
+    path = foreign(samples, chunk_size=10**7, **options)
+    with path.open('r+b') as file:
+        # The message index behind the only chunk takes 16 bytes a message.
+        file.truncate((path.stat().st_size - 16 * 4001) // 2)
+    trial = read_trial(path)
+    # A compressed chunk gives whole blocks of up to 128 KiB: about 1200 messages.
+    assert 600 < len(trial.force) < 2500
+    assert any('breaks off' in warning for warning in trial.warnings)
 
 
 @settings(

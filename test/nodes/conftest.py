@@ -122,6 +122,14 @@ class Probe:
         wait_until(publisher.get_subscription_count, f'a subscriber of {topic.name}')
         return publisher
 
+    def send(self, topic: Topic, message: Any) -> None:
+        """Publish one message, and return once those who listen have it in their queues."""
+        from rclpy.duration import Duration
+
+        publisher = self.publisher(topic)
+        publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=20))
+
     def call(self, service: Service, request: Any, deadline: float = 10.0) -> Any:
         """Return the answer of a service."""
         client = qos.create_client(self.node, service)

@@ -34,7 +34,8 @@ DEPTH = 0.006
 
 @pytest.fixture
 def world(start_world):
-    return start_world('--object', 'soft_dough')
+    # Slower than the real thing, so that the logic is tested and not the speed of the machine.
+    return start_world('--object', 'soft_dough', '--force-rate', '200', '--arm-rate', '200')
 
 
 def test_clouds_show_the_block_on_the_support_plane(world, start_node, probe, until):
@@ -67,6 +68,7 @@ def test_the_dent_is_seen_before_the_push_and_after_it(world, start_node, probe,
             'hold_time': 2.0,
             'recover_time': 2.0,
             'release_speed': 0.03,
+            'stale_time': 0.5,
         },
     )
     heights, phases = probe.listen(DISPLACEMENT_HEIGHT), probe.listen(PHASE)

@@ -171,23 +171,25 @@ def fit_exponential(signal: Signal) -> ExponentialFit:
     y = signal.value if clean else signal.value[~glitch]
     edges = np.linspace(0, t.size, min(t.size, _BLOCKS) + 1).astype(np.intp)
     weight = np.diff(edges).astype(np.float64)
-    rate = _search(
-        np.add.reduceat(t, edges[:-1]) / weight, np.add.reduceat(y, edges[:-1]) / weight, weight
+    block_t, block_y = (
+        np.add.reduceat(t, edges[:-1]) / weight,
+        np.add.reduceat(y, edges[:-1]) / weight,
     )
-    rate, amplitude, offset = _polish(t, y, rate)
+    rate, amplitude, offset = _polish(t, y, _search(block_t, block_y, weight))
     decay = np.exp(-rate * t)
     residual = y - amplitude * decay - offset
-    jacobian = np.column_stack((decay, amplitude * rate**2 * t * decay, np.ones_like(t)))
+    jacobian = np.stack((decay, (amplitude * rate**2) * t * decay, np.ones_like(t)))
+    # The straight line loses nothing by the blocks.
+    line = np.stack((np.ones_like(block_t), (block_t.mean() - block_t) / t[-1]))
     mean = float(y.mean())
-    line = np.column_stack((np.ones_like(t), (t.mean() - t) / t[-1]))
-    slide = float(line[:, 1] @ y) / float(line[:, 1] @ line[:, 1])
-    spread = least_squares_covariance(line, (y - mean - slide * line[:, 1],))
+    slide = float(line[1] @ block_y) / float(line[1] @ line[1])
+    spread = least_squares_covariance(line.T, (block_y - block_y.mean() - slide * line[1],))
     return ExponentialFit(
         origin=float(signal.t[0]),
         amplitude=amplitude,
         time_constant=1.0 / rate,
         offset=offset,
-        covariance=least_squares_covariance(jacobian, (residual,)),
+        covariance=least_squares_covariance(jacobian.T, (residual,)),
         noise=math.sqrt(float(residual @ residual) / (t.size - 3)),
         start=float(signal.t[0]),
         stop=float(signal.t[-1]),

@@ -80,5 +80,8 @@ def withdrawal_speed(trial: Trial, released: float, lost: float) -> float:
 
 
 def sampling_interval(signal: Signal) -> float:
-    """Return the median time between samples [s]."""
-    return float(np.median(np.diff(signal.t))) if len(signal) > 1 else 0.0
+    """Return the median time between samples [s], from about a thousand pairs."""
+    if len(signal) < 2:
+        return 0.0
+    pairs = np.linspace(0, len(signal) - 2, min(len(signal) - 1, 1000)).astype(np.intp)
+    return float(np.median(signal.t[pairs + 1] - signal.t[pairs]))

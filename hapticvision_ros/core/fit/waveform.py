@@ -295,8 +295,10 @@ def _tool_path(height: Signal, breaks: Sequence[float]) -> tuple[FloatArray, Flo
     t, value, count = _average(height.t, height.value, [breaks[0], *inner, breaks[-1]])
     knots = np.array([breaks[0], *inner, breaks[-1]])
     weight = np.sqrt(count)
-    scatter = np.abs(np.diff(value * 1.0, 2)) if value.size > 4 else np.zeros(1)
-    noise = 1.4826 * float(np.median(scatter)) / math.sqrt(6.0)
+    # The 95th percentile: a moving tool whose samples carry the time of their sending scatters
+    # with its speed, and is at rest for most of the time.
+    scatter = np.abs(np.diff(value, 2)) if value.size > 4 else np.zeros(1)
+    noise = float(np.quantile(scatter, 0.95)) / (1.96 * math.sqrt(6.0))
     tolerance = max(4.0 * noise, 1e-4 * float(np.ptp(value)))
     shortest = 3.0 * sampling_interval(height)
     while True:
@@ -304,6 +306,11 @@ def _tool_path(height: Signal, breaks: Sequence[float]) -> tuple[FloatArray, Flo
         level = np.linalg.lstsq(hats * weight[:, np.newaxis], value * weight, rcond=None)[0]
         miss = np.abs(value - hats @ level)
         miss[np.min(np.abs(t[:, np.newaxis] - knots), axis=1) < shortest] = 0.0
+        # A piece without a sample inside would have any slope.
+        piece = np.searchsorted(knots, t, side='right')
+        miss[
+            np.append(True, piece[1:] != piece[:-1]) | np.append(piece[1:] != piece[:-1], True)
+        ] = 0.0
         worst = int(np.argmax(miss))
         if miss[worst] <= tolerance or knots.size >= _MAX_KNOTS:
             return knots, np.asarray(level, dtype=np.float64)

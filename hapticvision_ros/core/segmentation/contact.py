@@ -18,10 +18,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hapticvision_ros.core.records import FloatArray
-from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop
+from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop, level
 import numpy as np
 
 _BLOCKS = 20
+_GLITCH = 9.0
+"""Median deviations beyond which a sample without contact is a glitch: 6 sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +124,11 @@ def fit_start(t: FloatArray, x: FloatArray, first: int, moved: int) -> float:
         Time of the start [s].
 
     """
-    level = float(np.median(x[first:moved]))
-    off = np.abs(x[moved:] - level)
+    rest = level(x[first:moved])
+    off = np.abs(x[moved:] - rest)
     leg = int(np.argmax(off >= 0.2 * float(np.max(off))))
     last = min(x.size, moved + max(leg, 4) + 1)
-    near = np.flatnonzero(np.abs(x[first:last] - level) <= 0.1 * abs(float(x[last - 1]) - level))
+    near = np.flatnonzero(np.abs(x[first:last] - rest) <= 0.1 * abs(float(x[last - 1]) - rest))
     settled = first + int(near[-1]) if near.size else moved
     begin = max(first, settled - max(2 * (last - settled), 8))
     back = -t[begin:last][::-1]
@@ -181,7 +183,7 @@ def locate_touch(
         rises = doubt < 2.0 or (doubt - 1.0) * (tw.size - 5.0) < 30.0
     reach = float(tw[-1]) - onset.t
     before = int(np.searchsorted(t, onset.t - 0.1 * reach))
-    drift = 0.0
+    drift, zero = 0.0, onset.baseline
     if before >= _BLOCKS:
         drift, error = slope(t[:before], force[:before])
         if abs(drift) > 4.0 * error:
@@ -189,16 +191,24 @@ def locate_touch(
             onset = fit_onset(tw, fw - drift * (tw - onset.t), travel, earliest, latest)
         else:
             drift = 0.0
+        zero = _quiet_level(force[:before] - drift * (t[:before] - onset.t))
     far = float(np.max(x) - x[0])
     away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
     moved = int(np.argmax(away))
     if moved >= 4:
-        travelled = float(np.interp(onset.t, tx, x)) - float(np.median(x[: moved - 1]))
+        travelled = float(np.interp(onset.t, tx, x)) - level(x[: moved - 1])
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             still = force[t < started]
-            zero = float(np.mean(still)) if still.size else None
-            return Touch(started, zero, 0.0, 'rest')
+            resting = float(np.mean(still)) if still.size else None
+            return Touch(started, resting, 0.0, 'rest')
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
-    return Touch(onset.t, onset.baseline, drift, 'approach')
+    return Touch(onset.t, zero, drift, 'approach')
+
+
+def _quiet_level(value: FloatArray) -> float:
+    """Return the mean of all that is no glitch: correlated noise needs a long average."""
+    centre = float(np.median(value))
+    off = np.abs(value - centre)
+    return float(np.mean(value[off <= _GLITCH * float(np.median(off))]))

@@ -22,6 +22,8 @@ import numpy as np
 _LAGS = (1, 2, 4, 8, 16)
 # What a shape with a second term must gain over one without [noise variances].
 _COSTS = (0.0, 0.0, 8.0, 8.0, 8.0)
+_GUARD = 3
+"""Samples before an onset that may already hold some of the rise."""
 _P70_OF_NORMAL = 1.0364333894937898
 
 
@@ -35,6 +37,11 @@ def despike(value: FloatArray) -> FloatArray:
     np.minimum(middle, value[2:], out=middle)
     np.maximum(middle, low[:-1], out=middle)
     return np.concatenate((value[:1], middle, value[-1:]))
+
+
+def level(value: FloatArray) -> float:
+    """Return the median of `value`, of a thousand samples spread over it where it is long."""
+    return float(np.median(value[:: max(1, value.size // 1000)]))
 
 
 def noise_std(value: FloatArray) -> float:
@@ -59,7 +66,7 @@ def noise_std(value: FloatArray) -> float:
     for lag in _LAGS:
         if value.size < max(5, 100 * (lag - 1)):
             break
-        thin = max(1, value.size // 4096)
+        thin = max(1, value.size // 2048)
         count = (value.size - 3 * lag + thin - 1) // thin
         at = thin * np.arange(count)
         bend = value[at + 3 * lag] - value[at] + 3.0 * (value[at + lag] - value[at + 2 * lag])
@@ -202,9 +209,12 @@ def fit_onset(
         equal = np.flatnonzero(table <= float(np.min(table)) * (1.0 + 1e-9) + 1e-300)
         run = equal[equal >= int(np.argmin(table))]
         best_t, best_sse = float(np.mean(starts[run])), least
-        before = tb <= best_t
-        if np.any(before):
-            baseline = float(np.average(vb[before], weights=weight[before]))
+        # The onset is known to about a sample, and a dashpot's jump is far above the noise: the
+        # last samples before it stay out of the baseline where there are others.
+        before = int(np.searchsorted(tb, best_t, side='right'))
+        if before:
+            quiet = slice(0, max(before - _GUARD, min(before, _GUARD)))
+            baseline = float(np.average(vb[quiet], weights=weight[quiet]))
         step = (high - low) / (grid - 1)
         low, high = max(low, best_t - 2.0 * step), min(high, best_t + 2.0 * step)
         if high - low <= 0.0:
@@ -247,7 +257,7 @@ def fit_stop(
     low: float,
     high: float,
     *,
-    count: int = 160,
+    count: int = 130,
 ) -> float:
     """
     Find when a tool that moved steadily has come to rest.
@@ -276,10 +286,11 @@ def fit_stop(
     columns = travel[None, :]
     longest = max(high - float(t[0]), 0.0)
     # The corner of line and rest is told well, the slowing about it less so: search in these.
-    corners, slowing = np.linspace(low, high, 21), np.linspace(0.0, longest, 9)
-    dc, dd = corners[1] - corners[0], slowing[1] - slowing[0]
+    corners, slowing = np.linspace(low, high, 65), np.zeros(1)
+    dc, dd = 2.0 * (corners[1] - corners[0]), 0.5 * longest
     corner = slow = 0.0
-    for _round in range(6):
+    spacing = float(t[-1] - t[0]) / (t.size - 1)
+    for _round in range(10):
         centre, half = 0.5 * (corners[0] + corners[-1]), 0.5 * (slowing[-1] + 4.0 * dc)
         tb, (xb,), weight = _binned(t, columns, centre, half, count)
         total = float(np.sum(weight))
@@ -304,8 +315,10 @@ def fit_stop(
         if sharp[sharpest] <= sse[best] * (1.0 + 9.0 / max(total - 4.0, 1.0)) + 1e-300:
             best = sharpest
         corner, slow = float(at[best, 0]), float(length[best, 0])
-        corners = np.clip(corner + np.linspace(-1.0, 1.0, 11) * dc, low, high)
-        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 9) * dd, 0.0, longest)
+        corners = np.clip(corner + np.linspace(-1.0, 1.0, 9) * dc, low, high)
+        slowing = np.clip(slow + np.linspace(-1.0, 1.0, 8) * dd, 0.0, longest)
         slowing[0] = 0.0
-        dc, dd = dc / 4.0, dd / 3.0
+        dc, dd = dc / 3.0, dd / 3.0
+        if dc < 0.01 * spacing:
+            break
     return corner + 0.5 * slow

@@ -26,9 +26,16 @@ from hapticvision_ros.core.segmentation.fits import (
     fit_stop,
     noise_std,
 )
+from hapticvision_ros.core.segmentation.fits import (
+    level as median_level,
+)
 import numpy as np
 
 _FEWEST = 8
+_NO_PUSH = (
+    'the force is largest at the start of the record: it starts in contact, and the push is not '
+    'in it'
+)
 _DEFAULTS = SegmentationOptions()
 
 
@@ -76,7 +83,10 @@ def segment(
     T_c is the onset of the force over the tool's travel; T_s is the moment at which the tool has
     come to rest (the end of its slowing down, where it slows down) and T_e the moment at which it
     starts back, both from the tool's motion; t_loss is where the force on withdrawal has gone to
-    its level without contact for good, after the pull of an adhesive object.
+    its level without contact for good, after the pull of an adhesive object. Where a small force
+    (up to 15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
+    the tool pushes in steps, the phases are those of the first step and `t_end` is its end. Where
+    the tool never comes to rest, `push_speed` is the mean up to the end of the push.
 
     Parameters
     ----------
@@ -179,20 +189,16 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     base = float(np.mean(before[before <= p10 + 2.6 * sigma]))
     amplitude = float(coarse[peak]) - base
     least = options.contact_sigmas * sigma + 1e-12 * float(np.max(np.abs(f)))
-    if amplitude <= least or peak < 2:
-        if float(np.ptp(coarse)) > least and peak < 2:
-            return _Contact(
-                float(tf[0]),
-                None,
-                float(coarse[peak] - np.min(coarse)),
-                (
-                    'the force is largest at the start of the record: it starts in contact, and '
-                    'the push is not in it',
-                ),
-            )
+    if amplitude <= least:
+        late = coarse.size - max(1, coarse.size // 10)
+        fall = float(coarse[peak] - np.median(coarse[late:]))
+        if fall > least:
+            return _Contact(float(tf[0]), None, fall, (_NO_PUSH,))
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
-    high = int(np.argmax(before > base + threshold)) * block
+    # The block before may have risen already in its last samples.
+    first = max(int(np.argmax(before > base + threshold)) - 1, 0) * block
+    high = first + int(np.argmax(f[first:] > base + threshold))
     quiet = np.flatnonzero(f[: high + 1] <= base + max(least, 0.01 * amplitude))
     low = int(quiet[-1]) if quiet.size else 0
     touch = locate_touch(tf, f, record.tx, record.x, record.travel_noise, low, high)
@@ -240,7 +246,7 @@ def _find_rests(
         if rests and rests[-1].stop >= first:
             first = rests[-1].first
             rests.pop()
-        rests.append(_Rest(first, stop, float(np.median(x[first:stop]))))
+        rests.append(_Rest(first, stop, median_level(x[first:stop])))
     return rests
 
 
@@ -386,11 +392,8 @@ def _find_loss(
         drift, error = slope(t[third:], f[third:])
         if abs(drift) > 4.0 * error and abs(drift) * float(t[-1] - t[0]) < 0.1 * contact.amplitude:
             f = f - drift * (t - float(t[f.size - tail.size // 2]))
-    outside = np.abs(f - level) > band
-    if free:
-        coarse = int(np.flatnonzero(outside)[-1]) + 1 if np.any(outside) else 0
-    else:
-        coarse = int(np.argmin(outside))
+    outside = np.flatnonzero(np.abs(f - level) > band)
+    coarse = int(outside[-1]) + 1 if outside.size else 0
     if coarse == 0:
         return t_release, level, []
     coarse = min(coarse, f.size - 1)
@@ -400,7 +403,7 @@ def _find_loss(
             None,
             [
                 f'a force of {level - zero:.3g} N keeps the tool on the object as it recovers: '
-                'contact is never lost, and t_loss is when the force first falls to that'
+                'contact is not lost for good, and t_loss is when the force has settled to that'
             ],
         )
     big = np.flatnonzero(np.abs(f[:coarse] - level) > max(4.0 * band, 0.2 * contact.amplitude))
@@ -409,6 +412,9 @@ def _find_loss(
     stop = min(f.size, coarse + 3 * max(coarse - begin, 10))
     back_t, back_f = -t[begin:stop][::-1], f[begin:stop][::-1]
     latest = -float(t[begin])
-    earliest = -float(t[min(coarse + (coarse - begin), stop - 1)])
+    # What the band hides of a force that goes out smoothly; a pull that lets go hides nothing.
+    fading = np.flatnonzero(np.abs(f[:coarse] - level) > 3.0 * band)
+    hidden = 2 * (coarse - int(fading[-1])) if fading.size else 2
+    earliest = -float(t[min(coarse + max(hidden, 2), stop - 1)])
     onset = fit_onset(back_t, back_f, back_t, earliest, latest)
     return max(t_release, -onset.t), level, []

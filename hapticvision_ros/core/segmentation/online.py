@@ -35,6 +35,7 @@ _BASELINE_SAMPLES = 20000.0
 _RISE = 6.0
 _LAG = 512
 _FEW = 64
+_FIRST_FITTED = 6
 # For a normal distribution, of third differences of variance 20.
 _MEAN_BEND_TO_STD = 0.28025
 # White noise over its running median of three, in standard deviations.
@@ -147,10 +148,13 @@ class _Stream:
         self.t, self.value = t, value
         far = self._far
         far.append(value)
-        if self.count > 4 * _FAR:
-            bend = abs(value - far[0] + 3.0 * (far[_FAR] - far[2 * _FAR]))
-            rate = max(1.0 / (self.count - 4 * _FAR), 1.0 / _NOISE_SAMPLES)
-            self._far_bend += (_MEDIAN_OF_3 * bend - self._far_bend) * rate
+        if self.count > _FEW:
+            bend = _MEDIAN_OF_3 * abs(value - far[0] + 3.0 * (far[_FAR] - far[2 * _FAR]))
+            # Those of neighbours count as the first half of the past.
+            rate = max(1.0 / (self.count - _FEW // 2), 1.0 / _NOISE_SAMPLES)
+            self._far_bend += (bend - self._far_bend) * rate
+        else:
+            self._far_bend = self._bend
         self.history.push(t, value)
 
 
@@ -165,6 +169,15 @@ class OnlineSegmenter:
 
     Notes
     -----
+    Over the tests' table of conditions it agrees with `segment`: T_s and T_e within a sample of
+    the height or twice the jitter over the speed; T_c within five samples of the force or eight
+    times the travel over which the force hides in its noise; t_loss within three samples or four
+    times the time over which it does. It sees T_c, T_s and T_e within 30, 15 and 10 % of the
+    duration of the push and eight samples more.
+
+    Not seen online: a contact in a record that starts in the hold. A withdrawal that keeps a
+    force counts as a loss once the force stands still, which `segment` may place later.
+
     Memory is bounded, and a sample costs a constant number of operations; the sample that shows
     an event costs a fit of about a millisecond more. Force and height may come at different rates
     and interleave in any order; a sample that is not newer than the last of its kind is ignored.
@@ -189,6 +202,7 @@ class OnlineSegmenter:
         self._x_first = 0.0
         self._moving_from_start = False
         self._peak = 0.0
+        self._force_noise = 0.0
         self._t_contact = 0.0
         self._x_contact = 0.0
         self._top = 0.0
@@ -304,14 +318,18 @@ class OnlineSegmenter:
         limit = options.contact_sigmas * force.noise + 1e-9 * abs(self._baseline)
         if force.count < _FEW:
             limit *= 3.0
-        if (excess < 0.5 * limit or force.count < _WARM_UP) and (
+        # Nothing is touched by a tool that rests: what the force does until then is its noise.
+        height = self._height
+        resting = height.count > _WARM_UP and not self._moving_from_start
+        resting &= abs(height.value - self._x_first) <= 5.0 * height.noise + 1e-12
+        if (excess < 0.5 * limit or force.count < _WARM_UP or resting) and (
             len(self._latest) > min(force.count // 4, _LAG)
         ):
             self._follow(*self._latest.popleft())
         over = excess > limit and self._fast - self._lowest > limit
         # A force that rises from the first sample is itself the line.
         rises = self._moving_from_start and self._fast - self._first > _RISE * limit
-        self._over = self._over + 1 if over or rises else 0
+        self._over = self._over + 1 if (over or rises) and not resting else 0
         if self._over < 3 or self._height.count < 3:
             return ()
         t, f = force.history.arrays()
@@ -327,6 +345,8 @@ class OnlineSegmenter:
         self._t_contact = t_contact
         self._x_contact = float(np.interp(t_contact, tx, x))
         self._peak = float(f[-1]) - self._baseline
+        # From here on the force itself bends.
+        self._force_noise = self._force.noise
         self._start_push(float(tx[-1]), float(x[-1]), t_contact, self._x_contact)
         return self._event('contact', t_contact, now)
 
@@ -418,7 +438,7 @@ class OnlineSegmenter:
 
     def _watch_loss(self, now: float) -> tuple[PhaseEvent, ...]:
         force, options = self._force, self._options
-        band = max(options.contact_sigmas * force.noise, options.loss_fraction * self._peak)
+        band = max(options.contact_sigmas * self._force_noise, options.loss_fraction * self._peak)
         t_still, f_still = self._still
         if abs(force.value - f_still) > band:
             self._still = (force.t, force.value)
@@ -437,8 +457,8 @@ class OnlineSegmenter:
         big = np.flatnonzero(
             np.abs(f[begin:] - self._baseline) > max(4.0 * band, 0.2 * self._peak)
         )
-        first = begin + int(big[-1]) if big.size else begin
-        first = max(0, min(first, int(np.searchsorted(t, t_still)) - 6))
+        first = begin + (int(big[-1]) if big.size else -_FIRST_FITTED)
+        first = max(0, min(first, int(np.searchsorted(t, t_still)) - _FIRST_FITTED))
         back_t, back_f = -t[first:][::-1], f[first:][::-1]
         onset = fit_onset(back_t, back_f, back_t, float(back_t[0]), float(back_t[-1]))
         return self._event('loss', max(-onset.t, self._t_release), now)

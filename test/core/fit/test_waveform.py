@@ -92,6 +92,24 @@ def test_a_trial_held_out_is_predicted_and_changes_nothing(
     assert len(fit.held_out_predictions) == 1
 
 
+@pytest.mark.parametrize('seed', range(6))
+def test_heights_that_were_sent_late_do_not_shake_the_force(
+    plain: Callable[..., Segmented], seed: int
+) -> None:
+    trial, phases = plain(0.005, 0.010, seed)
+    rng = np.random.default_rng(seed)
+    t = trial.tool_height.t
+    sent = np.minimum(t + rng.exponential(1.5e-3, t.size), np.append(t[1:], np.inf) - 1e-4)
+    late = replace(trial, tool_height=Signal(sent, trial.tool_height.value))
+    fit = fit_waveform([(late, phases)], [], NOISE)
+    assert fit.train is not None and fit.train.force_rmse is not None
+    peak = float(np.max(trial.force.value))
+    # 1.5 ms at 5 mm/s are 0.1 % of the depth; what they do to the corners is half a percent.
+    assert fit.train.force_rmse < 0.01 * peak
+    # Known to the lateness of its corners.
+    assert _value(fit, 'K1') == pytest.approx(2000.0, rel=0.02)
+
+
 def test_the_miss_of_a_body_with_a_slider_is_told_phase_by_phase(bingham: type) -> None:
     trial, phases = bingham().make(hold=20.0)
     fit = fit_waveform([(trial, phases)], [], NOISE)

@@ -1,0 +1,117 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The verb ``fit``: what it writes, what it refuses, and what it leaves behind when it fails."""
+
+import json
+from pathlib import Path
+
+from hapticvision_ros.cli.fit import write_json
+from hapticvision_ros.cli.main import main
+import pytest
+
+BAGS = Path(__file__).parents[2] / 'bags'
+SLOW = BAGS / 'muscle_ramp_hold' / 'ramp_10s'
+FAST = BAGS / 'muscle_ramp_hold' / 'ramp_1s'
+
+
+def _fit(*arguments: str | Path) -> int:
+    return main(['fit', *(str(argument) for argument in arguments)])
+
+
+def test_a_measured_trial_gives_a_table_a_result_and_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'new' / 'folder'
+    assert _fit(SLOW, '--out', out) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ''
+    assert 'ramp_10s' in shown.out
+    assert 'K1 [N/m]' in shown.out
+    assert 'misses the force by' in shown.out
+    assert 'in the hold' in shown.out
+    assert 'the trial has no release' in shown.out
+    result = json.loads((out / 'result.json').read_text())
+    assert result['trials'][0]['bag'] == str(SLOW)
+    assert result['trials'][0]['paper']['tau_s'] > 0.0
+    assert result['trials'][0]['paper']['K1_N_m'] is None
+    assert '<html' in (out / 'report.html').read_text()
+    # Nothing else, no temporary file either.
+    assert sorted(path.name for path in out.iterdir()) == ['report.html', 'result.json']
+
+
+def test_the_printed_units_change_and_the_file_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _fit(SLOW, '--out', tmp_path / 'si') == 0
+    capsys.readouterr()
+    assert _fit(SLOW, '--out', tmp_path / 'paper', '--units', 'paper') == 0
+    assert 'K1 [kgf/mm]' in capsys.readouterr().out
+    files = [(tmp_path / name / 'result.json').read_bytes() for name in ('si', 'paper')]
+    assert files[0] == files[1]
+
+
+def test_a_bag_held_out_is_predicted_from_the_others(tmp_path: Path) -> None:
+    assert _fit(SLOW, '--out', tmp_path, '--hold-out', FAST) == 0
+    result = json.loads((tmp_path / 'result.json').read_text())
+    assert [trial['bag'] for trial in result['trials']] == [str(SLOW), str(FAST)]
+    assert result['before']['error']['held_out']['force_rmse_N'] > 0.0
+
+
+def test_every_bag_that_cannot_be_read_is_named_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / 'broken.mcap'
+    broken.write_bytes(b'not a bag at all')
+    missing = tmp_path / 'missing.mcap'
+    assert _fit(SLOW, broken, missing, '--out', tmp_path / 'out') == 2
+    shown = capsys.readouterr()
+    assert len(shown.err.splitlines()) == 1
+    assert 'broken.mcap' in shown.err and 'missing.mcap' in shown.err
+    assert shown.out == ''
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_bag_named_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _fit(SLOW, '--out', tmp_path, '--hold-out', SLOW.parent / '.' / SLOW.name) == 2
+    assert 'named twice' in capsys.readouterr().err
+
+
+def test_an_unknown_model_is_refused_before_a_bag_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ('--model', 'three-element+yield_force')
+    assert _fit(tmp_path / 'missing', '--out', tmp_path, *arguments) == 2
+    assert 'three-element+yield_force' in capsys.readouterr().err
+
+
+def test_an_out_that_cannot_be_a_folder_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'file').write_text('here')
+    assert _fit(SLOW, '--out', tmp_path / 'file') == 2
+    assert _fit(SLOW, '--out', tmp_path / 'file' / 'below') == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 2
+    assert all('--out' in error for error in errors)
+    assert (tmp_path / 'file').read_text() == 'here'
+
+
+def test_a_result_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / 'result.json'
+    write_json(path, {'a': 1})
+    with pytest.raises(ValueError, match='JSON'):
+        write_json(path, {'a': float('nan')})
+    assert json.loads(path.read_text()) == {'a': 1}
+    assert [file.name for file in tmp_path.iterdir()] == ['result.json']

@@ -1,0 +1,112 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command line as a whole: verbs, exit codes, and how little it imports for help."""
+
+import importlib
+import subprocess
+import sys
+
+from hapticvision_ros.cli.main import INTERRUPTED, main, VERBS
+from hapticvision_ros.core.errors import InputError
+import pytest
+
+
+def _fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Let the verb fit end with an error."""
+    fit = importlib.import_module('hapticvision_ros.cli.fit')
+
+    def fail(_: object) -> int:
+        raise error
+
+    monkeypatch.setattr(fit, 'run', fail)
+
+
+def test_help_names_every_verb_and_ends_with_zero(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(['--help'])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert all(verb in shown for verb in VERBS)
+
+
+@pytest.mark.parametrize(
+    'arguments', [[], ['frobnicate'], ['fit'], ['fit', '--units', 'stone', 'a', '--out', 'b']]
+)
+def test_wrong_usage_is_one_sentence_and_exit_code_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ''
+    assert len(shown.err.splitlines()) == 1
+    assert shown.err.startswith('hapticvision: ')
+    assert '--help' in shown.err
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _fail_with(monkeypatch, InputError('no such bag.'))
+    assert main(['fit', 'a', '--out', 'b']) == 2
+    assert capsys.readouterr().err == 'hapticvision: no such bag.\n'
+
+
+def test_an_interrupt_ends_with_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _fail_with(monkeypatch, KeyboardInterrupt())
+    assert main(['fit', 'a', '--out', 'b']) == INTERRUPTED == 130
+    assert 'Traceback' not in capsys.readouterr().err
+
+
+def test_a_defect_of_the_package_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    _fail_with(monkeypatch, ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        main(['fit', 'a', '--out', 'b'])
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    # The shell's `| head -0`: the pipe is closed before anything is written.
+    code = (
+        'import os, sys\n'
+        'from hapticvision_ros.cli import fit, main\n'
+        "fit.run = lambda _: [print('x' * 100) for _ in range(10000)] and 0\n"
+        "sys.exit(main.main(['fit', 'a', '--out', 'b']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    with process.stderr:
+        assert process.stderr.read() == b''
+    assert process.wait(timeout=60) == 0
+
+
+def test_help_imports_no_numerics() -> None:
+    code = (
+        'import sys\n'
+        'from hapticvision_ros.cli.main import main\n'
+        'try:\n'
+        "    main(['--help'])\n"
+        'except SystemExit:\n'
+        '    pass\n'
+        "heavy = {'numpy', 'scipy', 'rclpy', 'rosbags', 'cv2', 'jinja2', 'yaml', 'mcap'}\n"
+        'sys.exit(len(heavy & set(sys.modules)))\n'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code], stdout=subprocess.DEVNULL, timeout=60, check=False
+    )
+    assert done.returncode == 0

@@ -1,0 +1,245 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The displacement height H from clouds that the tests make."""
+
+from hapticvision_ros.core.displacement import (
+    displacement_from_clouds,
+    DisplacementSettings,
+    DisplacementTracker,
+)
+from hapticvision_ros.core.records import CloudFrame, Signal
+import numpy as np
+import pytest
+
+TOP = 0.045
+RADIUS = 0.0126
+AXIS = (0.01, -0.005)
+NOISE = 5e-4
+ELEVATION = np.deg2rad(40.0)
+# Median of some 60 points with a depth noise of 0.5 mm, of which sin(40 deg) is height.
+HEIGHT_STD = 1.25 * NOISE * np.sin(ELEVATION) / np.sqrt(60.0)
+
+
+def view(dent, tool_height, seed, shape=(240, 320)):
+    """Return an oblique parallel view of a block with a flat dent below a cylinder."""
+    forward = np.array([0.0, np.cos(ELEVATION), -np.sin(ELEVATION)])
+    up = np.array([0.0, np.sin(ELEVATION), np.cos(ELEVATION)])
+    rows, columns = shape
+    u = (np.arange(columns) + 0.5 - columns / 2) * 0.0008
+    v = (rows / 2 - np.arange(rows) - 0.5) * 0.0008
+    origin = (
+        np.array([0.0, 0.0, 0.03])
+        - 0.5 * forward
+        + u[None, :, None] * np.array([1.0, 0.0, 0.0])
+        + v[:, None, None] * up
+    )
+
+    def at_height(z):
+        depth = (z - origin[..., 2]) / forward[2]
+        return depth, origin + depth[..., None] * forward
+
+    def from_axis(points):
+        return np.hypot(points[..., 0] - AXIS[0], points[..., 1] - AXIS[1])
+
+    depth, _ = at_height(0.0)
+    wall_depth = (AXIS[1] - 0.03 - origin[..., 1]) / forward[1]
+    wall = origin + wall_depth[..., None] * forward
+    on_wall = (np.abs(wall[..., 0] - AXIS[0]) < 0.045) & (wall[..., 2] > 0) & (wall[..., 2] < TOP)
+    depth = np.where(on_wall, wall_depth, depth)
+    top_depth, top = at_height(TOP)
+    on_top = (np.abs(top[..., 0] - AXIS[0]) < 0.045) & (np.abs(top[..., 1] - AXIS[1]) < 0.03)
+    depth = np.where(on_top, top_depth, depth)
+    dent_depth, floor = at_height(TOP - dent)
+    # The rim hides the near part of the floor.
+    in_dent = (from_axis(floor) < RADIUS) & (from_axis(top) < RADIUS)
+    depth = np.where(in_dent, dent_depth, depth)
+    a = forward[1] ** 2
+    b = 2.0 * (origin[..., 1] - AXIS[1]) * forward[1]
+    c = (origin[..., 0] - AXIS[0]) ** 2 + (origin[..., 1] - AXIS[1]) ** 2 - RADIUS**2
+    discriminant = b * b - 4.0 * a * c
+    tool_depth = (-b - np.sqrt(np.maximum(discriminant, 0.0))) / (2.0 * a)
+    tool_z = origin[..., 2] + tool_depth * forward[2]
+    on_tool = (discriminant > 0.0) & (tool_z > tool_height) & (tool_depth < depth)
+    depth = np.where(on_tool, tool_depth, depth)
+    random = np.random.default_rng(seed)
+    depth = depth + NOISE * random.standard_normal(depth.shape)
+    cloud = (origin + depth[..., None] * forward).astype(np.float32)
+    cloud[random.random(depth.shape) < 0.02] = np.nan
+    cloud[random.random(depth.shape) < 0.001] = -np.inf
+    return cloud
+
+
+def trial():
+    """Return (t, tool height, dent) of a push of 8 mm that leaves 5 mm, at 10 frames a second."""
+    frames = [(0.1 * k, 0.075, 0.0) for k in range(10)]
+    frames += [(1.0 + 0.1 * k, 0.075 - 0.02 * 0.1 * k, 0.0) for k in range(15)]
+    frames += [(2.5 + 0.1 * k, TOP - 0.001 * k, 0.001 * k) for k in range(9)]
+    frames += [(3.4 + 0.1 * k, TOP - 0.008, 0.008) for k in range(10)]
+    for k in range(60):
+        t = 0.1 * k
+        dent = 0.005 + 0.003 * np.exp(-t / 2.0)
+        frames.append((4.4 + t, min(TOP - 0.008 + 0.02 * t, 0.075), dent))
+    return frames
+
+
+def follow(tracker, frames):
+    return [
+        tracker.update(view(dent, tool, seed), tool) for seed, (_, tool, dent) in enumerate(frames)
+    ]
+
+
+@pytest.fixture(scope='module')
+def clouds():
+    return [
+        CloudFrame(t, view(dent, tool, seed), 'support_plane')
+        for seed, (t, tool, dent) in enumerate(trial())
+    ]
+
+
+@pytest.fixture(scope='module')
+def tool_height():
+    frames = trial()
+    return Signal(
+        np.array([t for t, _, _ in frames]), np.array([height for _, height, _ in frames])
+    )
+
+
+def test_the_height_is_the_dent_before_the_push_and_after_it(clouds):
+    tracker = DisplacementTracker(AXIS)
+    errors = []
+    for cloud, (t, tool, dent) in zip(clouds, trial(), strict=True):
+        height = tracker.update(cloud.xyz, tool)
+        if t >= 2.5 and tool < TOP - dent + 0.004:
+            assert height is None, f'seen at {t} s although the tool is down'
+        if t > 5.6:
+            assert height is not None, f'not seen at {t} s'
+        if height is not None:
+            errors.append(height - dent)
+    assert len(errors) > 50
+    # The original height is an average over frames, so that the error is one frame's.
+    assert np.abs(np.mean(errors)) < 3.0 * HEIGHT_STD / np.sqrt(10.0)
+    assert np.abs(errors).max() < 5.0 * HEIGHT_STD
+
+
+def test_the_original_height_is_settled_once_the_tool_has_come_down(clouds):
+    tracker = DisplacementTracker(AXIS, DisplacementSettings(most_frames=1000))
+    for cloud, (_, tool, _) in zip(clouds, trial(), strict=True):
+        tracker.update(cloud.xyz, tool)
+    assert tracker.pushed
+    assert tracker.original_height == pytest.approx(TOP, abs=2.0 * HEIGHT_STD)
+
+
+def test_nothing_is_told_before_the_original_height_is_known():
+    tracker = DisplacementTracker(AXIS)
+    heights = follow(tracker, [(0.0, 0.075, 0.0)] * 4)
+    assert heights[:2] == [None, None]
+    assert heights[2] is not None
+
+
+@pytest.mark.parametrize('tool', [None, np.nan])
+def test_nothing_is_told_while_the_tools_height_is_unknown(tool):
+    tracker = DisplacementTracker(AXIS)
+    follow(tracker, [(0.0, 0.075, 0.0)] * 4)
+    assert tracker.update(view(0.0, 0.075, 9), tool) is None
+
+
+def test_a_push_that_began_unseen_gives_no_height():
+    tracker = DisplacementTracker(AXIS)
+    heights = follow(tracker, [(0.0, 0.043, 0.002)] * 3 + [(0.0, 0.075, 0.002)] * 5)
+    assert heights == [None] * 8
+
+
+def test_an_empty_patch_gives_no_height():
+    tracker = DisplacementTracker(AXIS)
+    follow(tracker, [(0.0, 0.075, 0.0)] * 4)
+    cloud = view(0.0, 0.075, 9)
+    cloud[np.hypot(cloud[..., 0] - AXIS[0], cloud[..., 1] - AXIS[1]) < 0.004] = np.nan
+    assert tracker.update(cloud, 0.075) is None
+    assert DisplacementTracker((1.0, 1.0)).update(cloud, 0.075) is None
+
+
+def test_unorganised_clouds_give_the_same_height(clouds):
+    organised, flat = DisplacementTracker(AXIS), DisplacementTracker(AXIS)
+    for cloud, (_, tool, _) in zip(clouds, trial(), strict=True):
+        expected = organised.update(cloud.xyz, tool)
+        assert flat.update(cloud.xyz.reshape(-1, 3), tool) == expected
+
+
+def test_a_trial_is_followed_from_its_clouds(clouds, tool_height):
+    signal, warnings = displacement_from_clouds(clouds, tool_height, contact_point=(*AXIS, TOP))
+    assert warnings == ()
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+
+
+def test_without_a_contact_point_it_is_planned_and_told(clouds, tool_height):
+    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    assert len(warnings) == 1
+    assert 'The contact point was taken where' in warnings[0]
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+
+
+def test_clouds_in_a_sensors_own_frame_are_brought_into_the_planes(clouds, tool_height):
+    angle = 2.2
+    turn = np.array(
+        [
+            [1.0, 0.0, 0.0],
+            [0.0, np.cos(angle), -np.sin(angle)],
+            [0.0, np.sin(angle), np.cos(angle)],
+        ]
+    )
+    sensor = np.array([0.0, -0.4, 0.35])
+    with np.errstate(invalid='ignore'):
+        moved = [
+            CloudFrame(frame.t, ((frame.xyz - sensor) @ turn.T).astype(np.float32), 'camera')
+            for frame in clouds
+        ]
+    signal, warnings = displacement_from_clouds(moved, tool_height)
+    assert len(warnings) == 2
+    assert 'not in the frame support_plane' in warnings[0]
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+
+
+def test_leading_frames_without_returns_are_passed_over(clouds, tool_height):
+    empty = np.full_like(clouds[0].xyz, np.nan)
+    lost = [CloudFrame(frame.t, empty, frame.frame_id) for frame in clouds[:3]]
+    signal, _ = displacement_from_clouds([*lost, *clouds[3:]], tool_height)
+    assert signal.t[0] > clouds[2].t
+
+
+def test_what_gives_no_height_says_why(clouds, tool_height):
+    nothing = Signal(np.empty(0), np.empty(0))
+    signal, warnings = displacement_from_clouds(clouds, nothing)
+    assert signal is None
+    assert 'there is no tool height' in warnings[-1]
+    signal, warnings = displacement_from_clouds([], tool_height)
+    assert signal is None
+    assert 'no cloud within the record' in warnings[-1]
+    empty = [CloudFrame(0.5, np.full((10, 10, 3), np.nan, dtype=np.float32), 'support_plane')]
+    signal, warnings = displacement_from_clouds(empty, tool_height)
+    assert signal is None
+    assert 'only 0 returns' in warnings[-1]
+    signal, warnings = displacement_from_clouds(
+        clouds[30:], tool_height, contact_point=(*AXIS, TOP)
+    )
+    assert signal is None
+    assert 'not seen before the push' in warnings[-1]
+    signal, warnings = displacement_from_clouds(
+        clouds[:3], tool_height, contact_point=(*AXIS, TOP)
+    )
+    assert signal is None
+    assert 'free of the tool in 1 of 3 frames' in warnings[-1]

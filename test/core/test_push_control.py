@@ -1,0 +1,343 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The push control law, on a point-mass arm and a spring that the tests step themselves."""
+
+from dataclasses import replace
+import math
+
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.push_control import (
+    check_goal,
+    expected_duration,
+    MeasuredTime,
+    PushControl,
+    PushGoal,
+    PushLimits,
+    Reading,
+    RETRACT_PATIENCE,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+
+PERIOD = 0.004
+SURFACE = 0.04
+STIFFNESS = 2000.0
+ZERO = 0.35
+START = 0.06
+
+GOAL = PushGoal(
+    push_speed=0.005,
+    depth=0.006,
+    hold_time=0.5,
+    recover_time=0.4,
+    release_speed=0.02,
+    approach_speed=0.02,
+    approach_gap=0.003,
+    clearance=0.015,
+    touch_force=0.2,
+    zero_time=0.1,
+    surface_height=SURFACE,
+)
+LIMITS = PushLimits(
+    max_force=50.0,
+    max_speed=0.05,
+    max_depth=0.02,
+    lowest_height=0.01,
+    highest_height=0.1,
+    max_duration=60.0,
+    stale_time=0.1,
+    stop_lead=0.008,
+)
+
+
+class Bench:
+    """An arm that follows its command at once, on a spring, with a load cell."""
+
+    def __init__(self, goal=GOAL, limits=LIMITS, height=START, surface=SURFACE):
+        self.t = 100.0
+        self.height = height
+        self.surface = surface
+        self.control = PushControl(goal, limits, self.t, height)
+        self.log = []
+
+    def force(self):
+        return ZERO + STIFFNESS * max(0.0, self.surface - self.height)
+
+    def step(self, tool='fresh', force='fresh'):
+        tool = Reading(self.t, self.height) if tool == 'fresh' else tool
+        force = Reading(self.t, self.force()) if force == 'fresh' else force
+        command = self.control.step(self.t, tool, force)
+        self.log.append((self.t, self.height, command))
+        self.height -= command.push_velocity * PERIOD
+        self.t += PERIOD
+        return command
+
+    def run_until(self, phase):
+        for _ in range(20000):
+            if self.step().phase == phase:
+                return
+        raise AssertionError(f'never came to {phase}')
+
+    def run_to_the_end(self):
+        for _ in range(20000):
+            self.step()
+            if self.control.finished:
+                return
+        raise AssertionError('never finished')
+
+    def phases(self):
+        names = [command.phase for _, _, command in self.log]
+        return [name for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
+
+
+def test_a_push_goes_through_all_phases():
+    bench = Bench()
+    bench.run_to_the_end()
+    assert bench.phases() == ['approach', 'push', 'hold', 'release', 'recover', 'done']
+    assert bench.control.reason is None
+
+
+def test_the_depth_counts_from_the_touch():
+    bench = Bench()
+    bench.run_to_the_end()
+    deepest = min(height for _, height, _ in bench.log)
+    # Touch at 0.2 N is 0.1 mm deep; the stop may come one cycle (0.02 mm) and the lead of 8 ms
+    # (0.04 mm) early.
+    assert SURFACE - deepest == pytest.approx(GOAL.depth + 0.1e-3, abs=0.06e-3)
+    assert bench.control.touch_height == pytest.approx(SURFACE - 0.1e-3, abs=0.025e-3)
+
+
+def test_speeds_and_times_are_those_of_the_goal():
+    bench = Bench()
+    bench.run_to_the_end()
+    speeds = {phase: set() for phase in bench.phases()}
+    times = {phase: [] for phase in bench.phases()}
+    for t, _, command in bench.log:
+        speeds[command.phase].add(command.push_velocity)
+        times[command.phase].append(t)
+    assert speeds['push'] == {GOAL.push_speed}
+    assert speeds['hold'] == {0.0}
+    assert speeds['release'] == {-GOAL.release_speed}
+    assert speeds['approach'] == {0.0, GOAL.approach_speed, GOAL.push_speed}
+    assert times['hold'][-1] - times['hold'][0] == pytest.approx(GOAL.hold_time, abs=2 * PERIOD)
+    recover = times['recover'][-1] - times['recover'][0]
+    assert recover == pytest.approx(GOAL.recover_time, abs=2 * PERIOD)
+    took = bench.log[-1][0] - bench.log[0][0]
+    # A few cycles at each of the five changes of phase.
+    assert took == pytest.approx(expected_duration(GOAL, START - SURFACE), abs=20 * PERIOD)
+
+
+def test_without_a_planned_surface_the_whole_approach_is_made_at_the_push_speed():
+    bench = Bench(replace(GOAL, surface_height=None))
+    bench.run_until('push')
+    assert {command.push_velocity for _, _, command in bench.log} == {0.0, GOAL.push_speed}
+
+
+def test_the_release_ends_at_the_clearance_above_the_touch():
+    bench = Bench()
+    bench.run_to_the_end()
+    expected = bench.control.touch_height + GOAL.clearance
+    lead = GOAL.release_speed * LIMITS.stop_lead
+    assert bench.height == pytest.approx(expected, abs=lead + GOAL.release_speed * PERIOD)
+
+
+def test_a_single_glitch_is_no_touch():
+    bench = Bench()
+    bench.run_until('approach')
+    for _ in range(50):
+        bench.step()
+    bench.step(force=Reading(bench.t, 5.0))
+    bench.step()
+    assert bench.control.touch_height is None
+
+
+def test_one_old_reading_seen_twice_is_no_touch():
+    bench = Bench()
+    for _ in range(50):
+        bench.step()
+    glitch = Reading(bench.t, 5.0)
+    for _ in range(5):
+        bench.step(force=glitch)
+    assert bench.control.touch_height is None
+
+
+@pytest.mark.parametrize('phase', ['approach', 'push', 'hold', 'release', 'recover'])
+def test_an_abort_in_any_phase_retracts_to_safety(phase):
+    bench = Bench()
+    bench.run_until(phase)
+    bench.control.abort('because', bench.t)
+    bench.run_to_the_end()
+    assert bench.phases()[-1] == 'aborted'
+    assert bench.control.reason == 'because'
+    lead = GOAL.release_speed * LIMITS.stop_lead
+    assert bench.height >= START - lead
+    assert bench.step().push_velocity == 0.0
+
+
+BAD_FORCES = {
+    'missing': None,
+    'not a number': Reading(1e9, math.nan),
+    'infinite': Reading(1e9, math.inf),
+    'too large': Reading(1e9, 51.0),
+    'too negative': Reading(1e9, -51.0),
+    'stale': Reading(0.0, 1.0),
+}
+
+
+@pytest.mark.parametrize('force', BAD_FORCES.values(), ids=BAD_FORCES.keys())
+@pytest.mark.parametrize('phase', ['approach', 'push', 'hold', 'release', 'recover'])
+def test_a_bad_force_aborts_in_any_phase(phase, force):
+    bench = Bench()
+    bench.run_until(phase)
+    assert bench.step(force=force).phase == 'aborted'
+    assert bench.step(force=force).push_velocity <= 0.0
+
+
+@pytest.mark.parametrize('phase', ['approach', 'push', 'hold', 'release', 'recover'])
+def test_without_its_height_the_tool_stands_still(phase):
+    bench = Bench()
+    bench.run_until(phase)
+    command = bench.step(tool=Reading(bench.t, math.nan))
+    assert command == (0.0, 'aborted')
+    # It retracts when the height comes back soon ...
+    bench.run_to_the_end()
+    assert bench.height >= START - GOAL.release_speed * LIMITS.stop_lead
+
+
+def test_a_height_that_does_not_come_back_ends_the_push_where_it_is():
+    bench = Bench()
+    bench.run_until('hold')
+    began = bench.t
+    while not bench.control.finished:
+        assert bench.step(tool=None).push_velocity == 0.0
+    assert bench.t - began == pytest.approx(RETRACT_PATIENCE, abs=3 * PERIOD)
+    assert bench.step().push_velocity == 0.0
+
+
+def test_nothing_to_touch_ends_above_the_lowest_height():
+    bench = Bench(surface=0.0)
+    bench.run_to_the_end()
+    assert bench.control.phase == 'aborted'
+    assert 'without touching anything' in bench.control.reason
+    assert min(height for _, height, _ in bench.log) >= LIMITS.lowest_height
+
+
+def test_a_push_that_takes_too_long_is_aborted():
+    limits = replace(LIMITS, max_duration=3.6)
+    goal = replace(GOAL, surface_height=None)
+    assert expected_duration(goal, None) < limits.max_duration
+    bench = Bench(goal, limits)
+    bench.run_to_the_end()
+    assert 'takes longer than' in bench.control.reason
+
+
+@pytest.mark.parametrize(
+    ('change', 'sentence'),
+    [
+        ({'push_speed': 0.0}, 'push_speed is 0 mm/s'),
+        ({'push_speed': 0.06}, 'push_speed is 60 mm/s'),
+        ({'release_speed': 0.06}, 'release_speed is 60 mm/s'),
+        ({'approach_speed': 0.06}, 'approach_speed is 60 mm/s'),
+        ({'depth': 0.03}, 'depth is 30 mm'),
+        ({'depth': math.nan}, 'depth of zero or more, not nan'),
+        ({'hold_time': -1.0}, 'hold_time of zero or more'),
+        ({'hold_time': math.inf}, 'hold_time of zero or more'),
+        ({'hold_time': 100.0}, 'takes about'),
+        ({'touch_force': 60.0}, 'touch_force is 60 N'),
+        ({'surface_height': 0.07}, 'below the surface'),
+        ({'surface_height': 0.012}, 'below the lowest allowed'),
+        ({'clearance': 0.09}, 'above the highest allowed'),
+    ],
+)
+def test_a_goal_that_does_not_fit_is_refused_with_its_number(change, sentence):
+    with pytest.raises(InputError, match=sentence):
+        check_goal(replace(GOAL, **change), LIMITS, START)
+
+
+def test_a_tool_outside_of_the_workspace_is_refused():
+    with pytest.raises(InputError, match='outside of the workspace'):
+        check_goal(GOAL, LIMITS, 0.2)
+
+
+some = st.floats(0.0, 0.1, allow_nan=False)
+goals = st.builds(
+    PushGoal,
+    push_speed=st.floats(1e-3, 0.1),
+    depth=st.floats(1e-4, 0.05),
+    hold_time=st.floats(0.0, 0.2),
+    recover_time=st.floats(0.0, 0.2),
+    release_speed=st.floats(5e-3, 0.1),
+    approach_speed=st.floats(5e-3, 0.1),
+    approach_gap=st.floats(0.0, 0.02),
+    clearance=st.floats(0.0, 0.05),
+    touch_force=st.floats(0.05, 5.0),
+    zero_time=st.floats(0.0, 0.05),
+    surface_height=st.none() | st.floats(0.0, 0.1),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    goal=goals,
+    surface=st.floats(0.0, 0.07),
+    stiffness=st.floats(10.0, 2e4),
+    faults=st.lists(st.tuples(st.integers(0, 1500), st.sampled_from(['tool', 'force', 'stop']))),
+)
+def test_no_goal_and_no_fault_exceeds_the_limits(goal, surface, stiffness, faults):
+    try:
+        bench = Bench(goal, LIMITS, surface=surface)
+    except InputError:
+        return
+    bench.force = lambda: ZERO + stiffness * max(0.0, surface - bench.height)
+    at = dict(faults)
+    for k in range(1500):
+        fault = at.get(k)
+        if fault == 'stop':
+            bench.control.abort('stop', bench.t)
+        command = bench.step(
+            tool=None if fault == 'tool' else 'fresh',
+            force=None if fault == 'force' else 'fresh',
+        )
+        if bench.control.finished:
+            break
+        assert abs(command.push_velocity) <= LIMITS.max_speed
+        assert bench.height >= LIMITS.lowest_height
+        assert bench.height <= LIMITS.highest_height + 1e-12
+        if command.push_velocity > 0.0:
+            assert command.phase in ('approach', 'push')
+            assert ZERO + stiffness * max(0.0, surface - bench.log[-1][1]) <= LIMITS.max_force
+        touch = bench.control.touch_height
+        if touch is not None:
+            assert touch - bench.height <= LIMITS.max_depth + goal.push_speed * PERIOD
+
+
+def test_late_samples_do_not_look_fresh():
+    measured = MeasuredTime()
+    for k in range(100):
+        # The device's clock is a million seconds ahead; samples take 1 ms.
+        assert measured.of(1e6 + 0.01 * k, 0.01 * k + 0.001) == pytest.approx(
+            0.01 * k + 0.001, abs=1e-4
+        )
+    # Half a second in a queue.
+    assert measured.of(1e6 + 1.0, 1.5) == pytest.approx(1.001, abs=2e-4)
+
+
+def test_drifting_clocks_do_not_make_fresh_samples_look_late():
+    measured = MeasuredTime()
+    for k in range(7200):
+        received = float(k)
+        # A slow device clock: 100 parts in a million.
+        assert received - measured.of(received * (1.0 - 1e-4), received) < 1e-3

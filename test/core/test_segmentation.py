@@ -1,0 +1,702 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The phases of a trial are found from its signals alone, offline and online.
+
+The trials come from integrators of their own (below), not from the models of the package: the
+truth of each event is known from the integration.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+import math
+import pickle
+
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
+from hapticvision_ros.core.segmentation import (
+    OnlineSegmenter,
+    PhaseEvent,
+    segment,
+    SegmentationOptions,
+)
+import numpy as np
+import pytest
+
+
+@dataclass(frozen=True)
+class Body:
+    """
+    An object under the tool; forces [N], penetration [m].
+
+    The force of a penetration s is ``stiffness * s**power`` of an equilibrium spring beside a
+    Maxwell branch (`maxwell` [N/m^power], `relaxation_time` [s]), or that of Kelvin-Voigt
+    (`stiffness`, `c1`) in series with a dashpot `c2` that flows above `yield_force`.
+    """
+
+    stiffness: float = 1e3
+    power: float = 1.0
+    maxwell: float = 0.0
+    relaxation_time: float = 10.0
+    c1: float = 0.0
+    c2: float = 0.0
+    yield_force: float = 0.0
+    adhesion: float = 0.0
+
+    def integrate(self, t: FloatArray, s: FloatArray) -> tuple[FloatArray, float | None]:
+        """Return the force under the tool's travel `s` beyond the surface, and t_loss."""
+        force = np.zeros_like(t)
+        slow = 0.0  # travel that the dashpot has taken up
+        z = 0.0  # stretch of Kelvin-Voigt
+        touching, t_loss = False, None
+        for i in range(1, t.size):
+            dt = t[i] - t[i - 1]
+            surface = z + slow if self.c2 else 0.0
+            if not touching and s[i] > surface and t_loss is None:
+                touching = True
+            if self.c2:
+                if touching:
+                    v = (s[i] - max(s[i - 1], surface)) / dt
+                    # Implicit: F = K1 z' + C1 (z' - z)/dt with z' = z + (v - (F - Fy)/C2) dt.
+                    a = self.stiffness * dt + self.c1
+                    f = self.stiffness * z + a * v
+                    flow = 0.0
+                    if abs(f) > self.yield_force:
+                        excess = f - math.copysign(self.yield_force, f)
+                        flow = excess / (a + self.c2)
+                        f = f - a * flow
+                    z += (v - flow) * dt
+                    slow += flow * dt
+                    force[i] = f
+                else:
+                    z -= z * dt / (self.c1 / self.stiffness + dt)
+            elif touching:
+                pen = max(s[i], 0.0) ** self.power
+                slow += (pen - slow) * dt / (self.relaxation_time + dt)
+                force[i] = self.stiffness * pen + self.maxwell * (pen - slow)
+                if s[i] < 0.0:
+                    force[i] = self.stiffness * s[i] - self.maxwell * slow
+            if touching and force[i] < -self.adhesion:
+                touching, t_loss = False, float(t[i])
+                force[i] = 0.0
+        return force, t_loss
+
+
+@dataclass(frozen=True)
+class Case:
+    """A trial: what the tool does, what it meets and how it is measured (SI units)."""
+
+    body: Body = field(default_factory=Body)
+    speed: float = 1.3e-3
+    return_speed: float | None = None
+    depth: float = 10e-3
+    wait: float = 1.0
+    air: float = 3e-3
+    slowing: float = 0.0
+    hold: float = 60.0
+    recover: float = 30.0
+    force_rate: float = 200.0
+    height_rate: float = 100.0
+    snr: float = 500.0
+    ar: float = 0.0
+    offset: float = 0.0
+    drift: float = 0.0
+    height_noise: float = 0.0
+    quantum: float = 0.0
+    stick_slip: float = 0.0
+    glitches: int = 0
+    start: float = 0.0
+    stop: float = math.inf
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """
+    The signals of a case, and the truth.
+
+    `blur` [m] is the travel from contact over which the force hides in the noise (below one
+    standard deviation); `loss_blur` [s] the time before the loss of contact over which it stays
+    below three. They are what no segmentation from a few samples can look through.
+    """
+
+    force: Signal
+    height: Signal
+    t_contact: float
+    t_hold: float
+    t_release: float
+    t_loss: float | None
+    sigma: float
+    peak: float
+    blur: float
+    loss_blur: float
+
+
+def simulate(case: Case) -> Measured:
+    """Integrate a case and measure it."""
+    v, back = case.speed, case.return_speed or case.speed
+    t0 = case.wait
+    t_contact = t0 + case.air / v
+    t_hold = t0 + (case.air + case.depth) / v + 0.5 * case.slowing
+    t_release = t_hold + case.hold
+    t_up = t_release + (case.depth + max(case.air, 0.3 * case.depth)) / back
+    t_end = t_up + case.recover
+    edges = [0.0, t0, t_contact, t_hold, t_release, t_up, t_end]
+    counts = [10, 300, 2000, 2000, 2000, 2000]
+    grid = np.unique(
+        np.concatenate(
+            [np.linspace(a, b, n) for a, b, n in zip(edges, edges[1:], counts, strict=False)]
+        )
+    )
+
+    def travel(t: FloatArray) -> FloatArray:
+        left = np.maximum(t_hold - t, 0.0)
+        d = max(case.slowing, 1e-12)
+        ramp = case.air + case.depth - v * np.where(left < d, left**2 / (2 * d), left - d / 2)
+        ramp = np.maximum(np.where(t < t0, 0.0, ramp), 0.0)
+        out = np.where(t > t_release, case.air + case.depth - back * (t - t_release), ramp)
+        out = np.where(t > t_up, case.air + case.depth - back * (t_up - t_release), out)
+        if case.stick_slip:
+            moving = (t > t0) & (t < t_hold)
+            phase = (out / case.stick_slip) % 1.0
+            out = np.where(moving, out + case.stick_slip * (np.minimum(0.0, phase - 0.5)), out)
+        return np.asarray(out - case.air)
+
+    clean, t_loss = case.body.integrate(grid, travel(grid))
+    peak = float(np.max(clean))
+    sigma = peak / case.snr
+    rng = np.random.default_rng(case.seed)
+    t = np.arange(case.start, min(t_end, case.stop), 1.0 / case.force_rate)
+    white = rng.standard_normal(t.size)
+    noise = white.copy()
+    if case.ar:
+        for i in range(1, t.size):
+            noise[i] = case.ar * noise[i - 1] + math.sqrt(1 - case.ar**2) * white[i]
+    f = np.interp(t, grid, clean) + sigma * noise + case.offset + case.drift * t
+    if case.glitches:
+        f[rng.choice(t.size, case.glitches, replace=False)] += 2.0 * peak
+    th = np.arange(case.start, min(t_end, case.stop), 1.0 / case.height_rate)
+    h = 0.2 - travel(th) + case.height_noise * rng.standard_normal(th.size)
+    if case.quantum:
+        h = np.round(h / case.quantum) * case.quantum
+    # Travel after contact at which the force is one standard deviation of its noise.
+    touch = grid > t_contact
+    over = grid[touch][np.abs(clean[touch]) >= sigma]
+    blur = v * (float(over[0]) - t_contact) if over.size else math.inf
+    loss_blur = 0.0
+    if t_loss is not None:
+        last = grid[(grid < t_loss) & (np.abs(clean) >= 3.0 * sigma)]
+        loss_blur = t_loss - float(last[-1])
+    force, height = Signal(t, f), Signal(th, h)
+    return Measured(
+        force, height, t_contact, t_hold, t_release, t_loss, sigma, peak, blur, loss_blur
+    )
+
+
+def run_online(
+    measured: Measured, options: SegmentationOptions | None = None
+) -> tuple[list[PhaseEvent], OnlineSegmenter]:
+    """Feed the samples in order of time; return the events and the segmenter."""
+    segmenter = OnlineSegmenter() if options is None else OnlineSegmenter(options)
+    force, height = measured.force, measured.height
+    t = np.concatenate((height.t, force.t))
+    value = np.concatenate((height.value, force.value))
+    events: list[PhaseEvent] = []
+    for i in np.argsort(t, kind='stable').tolist():
+        add = segmenter.add_height if i < len(height) else segmenter.add_force
+        events += add(float(t[i]), float(value[i]))
+    return events, segmenter
+
+
+SPRING = Body(1e3)
+STANDARD_SOLID = Body(500.0, maxwell=800.0)
+HERTZ = Body(2e4, power=1.5, maxwell=2e4, relaxation_time=5.0)
+THREE_ELEMENT = Body(stiffness=4.9e3, c1=8e4, c2=1.2e5, yield_force=4.9)
+STICKY = replace(STANDARD_SOLID, adhesion=0.4)
+SOFT = Body(1.0, maxwell=2.0, relaxation_time=3.0)
+
+CASES = {
+    'spring': Case(SPRING),
+    'standard solid': Case(STANDARD_SOLID),
+    'hertz': Case(HERTZ),
+    'three-element with yield force': Case(THREE_ELEMENT),
+    'fast withdrawal': Case(THREE_ELEMENT, return_speed=20e-3),
+    'adhesion': Case(STICKY),
+    'noise': Case(STANDARD_SOLID, snr=60.0),
+    'noise, hertz': Case(HERTZ, snr=60.0),
+    'noise, three-element': Case(THREE_ELEMENT, snr=60.0),
+    'correlated noise': Case(STANDARD_SOLID, snr=100.0, ar=0.8),
+    'offset and drift': Case(STANDARD_SOLID, offset=-3.0, drift=0.01),
+    'offset and drift, hertz': Case(HERTZ, offset=30.0, drift=-0.02),
+    'glitches': Case(STANDARD_SOLID, glitches=10),
+    'slow': Case(STANDARD_SOLID, speed=1e-4, depth=2e-3, air=1e-3),
+    'fast': Case(STANDARD_SOLID, speed=50e-3, force_rate=1000.0, height_rate=500.0),
+    'fast, hertz, slow encoder': Case(
+        HERTZ, speed=50e-3, depth=5e-3, force_rate=1000.0, height_rate=100.0
+    ),
+    'shallow': Case(STANDARD_SOLID, depth=2e-4, air=1e-3, speed=1e-3),
+    'deep': Case(STANDARD_SOLID, depth=30e-3),
+    'slows down': Case(STANDARD_SOLID, slowing=1.0),
+    'encoder steps': Case(STANDARD_SOLID, quantum=5e-5),
+    'height noise': Case(STANDARD_SOLID, height_noise=5e-5),
+    'stick-slip': Case(STANDARD_SOLID, stick_slip=2e-4),
+    'few samples': Case(STANDARD_SOLID, force_rate=2.0, height_rate=2.0),
+    'coarse height': Case(STANDARD_SOLID, force_rate=500.0, height_rate=5.0),
+    'one sample in 2.5 s': Case(
+        STANDARD_SOLID,
+        speed=1e-4,
+        force_rate=0.4,
+        height_rate=0.4,
+        hold=300.0,
+        recover=200.0,
+        wait=20.0,
+    ),
+    'no approach': Case(STANDARD_SOLID, air=0.0),
+    'no rest before the approach': Case(STANDARD_SOLID, wait=0.0),
+    'from the first sample': Case(STANDARD_SOLID, air=0.0, wait=0.0),
+    'millinewtons': Case(SOFT, depth=3e-3, snr=100.0),
+    '500 N': Case(Body(2e4, maxwell=3e4), snr=1000.0),
+    'jump, fast samples': Case(
+        THREE_ELEMENT,
+        speed=7.7e-3,
+        depth=15e-3,
+        air=15e-3,
+        force_rate=1000.0,
+        height_rate=500.0,
+        snr=5000.0,
+        ar=0.95,
+    ),
+    'jump, long record': Case(
+        THREE_ELEMENT,
+        speed=20e-3,
+        depth=15e-3,
+        air=15e-3,
+        hold=220.0,
+        force_rate=500.0,
+        height_rate=250.0,
+    ),
+    'long approach': Case(STANDARD_SOLID, air=100e-3, speed=1e-3, depth=1e-3),
+}
+NAMES = pytest.mark.parametrize('name', CASES)
+
+
+@cache
+def measured(name: str) -> Measured:
+    """Return the trial of a case, simulated once."""
+    return simulate(CASES[name])
+
+
+def contact_bound(case: Case, trial: Measured) -> float:
+    """
+    Return the bound on the error of T_c [s]: a sample, or twice what the noise hides.
+
+    Correlated noise hides more: 1 / (1 - ar) samples of it count for about one.
+    """
+    hidden = 2.0 * trial.blur / case.speed / math.sqrt(1.0 - case.ar)
+    return max(1.0 / case.force_rate, hidden)
+
+
+def motion_bound(case: Case) -> float:
+    """Return the bound on the errors of T_s and T_e [s]: a fifth of a sample, or the jitter's."""
+    jitter = case.height_noise + case.quantum + 0.5 * case.stick_slip
+    return max(0.2 / case.height_rate, jitter / case.speed)
+
+
+@NAMES
+def test_contact_is_found_within_a_sample_or_what_the_noise_hides(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    found = segment(trial.force, trial.height)
+    assert found.t_contact is not None
+    assert abs(found.t_contact - trial.t_contact) <= contact_bound(case, trial)
+
+
+@NAMES
+def test_the_force_zero_is_the_reading_just_before_contact(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    found = segment(trial.force, trial.height)
+    assert found.t_contact is not None
+    error = found.force_zero - case.offset - case.drift * found.t_contact
+    # The mean of some tens of samples or more, of a few where there are few.
+    few = 1.0 if case.force_rate <= 2.0 else 0.4
+    assert abs(error) <= few * trial.sigma / math.sqrt(1.0 - case.ar)
+
+
+def test_the_jump_of_a_dashpot_at_contact_stays_out_of_the_force_zero() -> None:
+    trial = measured('jump, fast samples')
+    found = segment(trial.force, trial.height)
+    # A mean over the whole approach, of which the correlation leaves one sample in forty.
+    before = np.count_nonzero(trial.force.t < trial.t_contact)
+    assert abs(found.force_zero) <= 4.0 * trial.sigma * math.sqrt(39.0 / before)
+
+
+@NAMES
+def test_hold_and_release_are_found_finer_than_a_sample_of_the_height(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    found = segment(trial.force, trial.height)
+    assert found.t_hold is not None
+    assert found.t_release is not None
+    assert abs(found.t_hold - trial.t_hold) <= motion_bound(case)
+    assert abs(found.t_release - trial.t_release) <= motion_bound(case)
+
+
+@NAMES
+def test_loss_of_contact_is_found_within_two_samples_or_what_the_noise_hides(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    found = segment(trial.force, trial.height)
+    assert found.t_loss is not None
+    assert trial.t_loss is not None
+    hidden = trial.loss_blur / math.sqrt(1.0 - case.ar)
+    assert abs(found.t_loss - trial.t_loss) <= max(2.0 / case.force_rate, hidden)
+
+
+@NAMES
+def test_depth_speed_and_original_height_are_those_of_the_tool(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    found = segment(trial.force, trial.height)
+    slack = case.speed * contact_bound(case, trial) + case.height_noise + case.quantum
+    slack += case.stick_slip + 1e-6
+    assert found.depth == pytest.approx(case.depth, abs=slack)
+    assert found.contact_height == pytest.approx(0.2, abs=slack)
+    push = trial.t_hold - trial.t_contact
+    spread = slack / push + case.depth / push**2 * (
+        contact_bound(case, trial) + motion_bound(case)
+    )
+    assert found.push_speed == pytest.approx(case.depth / push, abs=spread)
+
+
+@NAMES
+def test_online_finds_the_phases_that_the_whole_record_shows(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    whole = segment(trial.force, trial.height)
+    events, segmenter = run_online(trial)
+    assert [event.kind for event in events] == ['contact', 'hold', 'release', 'loss']
+    assert segmenter.phase == 'recover'
+    assert all(event.t <= event.detected_at for event in events)
+    contact, hold, release, loss = (event.t for event in events)
+    assert whole.t_contact is not None
+    assert whole.t_hold is not None
+    assert whole.t_release is not None
+    assert whole.t_loss is not None
+    # It decides on the first samples above six standard deviations of the noise.
+    bound = max(5.0 / case.force_rate, 4.0 * contact_bound(case, trial))
+    assert abs(contact - whole.t_contact) <= bound
+    bound = max(1.0 / case.height_rate, 2.0 * motion_bound(case))
+    assert abs(hold - whole.t_hold) <= bound
+    assert abs(release - whole.t_release) <= bound
+    assert abs(loss - whole.t_loss) <= max(3.0 / case.force_rate, 4.0 * trial.loss_blur)
+
+
+@NAMES
+def test_online_detects_before_the_phase_is_far_gone(name: str) -> None:
+    case, trial = CASES[name], measured(name)
+    events, _ = run_online(trial)
+    delay = {event.kind: event.detected_at - event.t for event in events}
+    push, slow = trial.t_hold - trial.t_contact, 8.0 / min(case.force_rate, case.height_rate)
+    assert delay['contact'] <= 0.3 * push + slow
+    assert delay['hold'] <= 0.15 * push + slow + 10.0 * motion_bound(case)
+    assert delay['release'] <= 0.1 * push + slow + 10.0 * motion_bound(case)
+
+
+def test_the_force_of_a_trial_without_contact_is_no_contact() -> None:
+    trial = simulate(Case(STANDARD_SOLID, stop=3.0, snr=50.0, offset=2.0))
+    found = segment(trial.force, trial.height)
+    assert found.t_contact is found.t_hold is found.t_release is found.t_loss is None
+    assert found.depth is found.push_speed is found.contact_height is None
+    assert found.force_zero == pytest.approx(2.0, abs=trial.sigma)
+    assert any('no contact' in warning for warning in found.warnings)
+    events, segmenter = run_online(trial)
+    assert events == []
+    assert segmenter.phase == 'approach'
+
+
+def test_a_record_that_starts_in_the_push_is_in_contact_from_its_start() -> None:
+    trial = simulate(Case(STANDARD_SOLID, start=4.5))
+    found = segment(trial.force, trial.height)
+    assert found.t_contact == 4.5
+    assert any('start of the record' in warning for warning in found.warnings)
+    # The force after the loss of contact still tells the load cell's zero.
+    assert found.force_zero == pytest.approx(0.0, abs=0.4 * trial.sigma)
+
+
+def test_a_record_that_starts_in_the_hold_has_no_push() -> None:
+    trial = simulate(Case(STANDARD_SOLID, start=20.0, stop=60.0))
+    found = segment(trial.force, trial.height)
+    assert found.t_contact == found.t_hold == 20.0
+    assert found.t_release is found.depth is found.push_speed is None
+    assert any('the push is not in it' in warning for warning in found.warnings)
+    assert any('taken as 0 N' in warning for warning in found.warnings)
+
+
+def test_a_missing_release_is_said_and_not_guessed() -> None:
+    trial = simulate(Case(STANDARD_SOLID, stop=60.0))
+    found = segment(trial.force, trial.height)
+    assert found.t_hold == pytest.approx(trial.t_hold, abs=0.002)
+    assert found.t_release is found.t_loss is None
+    assert found.t_end == trial.height.t[-1]
+    assert any('release is missing' in warning for warning in found.warnings)
+
+
+def test_a_push_that_never_ends_has_no_depth() -> None:
+    trial = simulate(Case(STANDARD_SOLID, stop=8.0))
+    found = segment(trial.force, trial.height)
+    assert found.t_contact == pytest.approx(trial.t_contact, abs=0.005)
+    assert found.t_hold is found.t_release is found.depth is None
+    assert found.push_speed == pytest.approx(1.3e-3, rel=0.01)
+    assert any('hold is missing' in warning for warning in found.warnings)
+
+
+def test_a_push_that_turns_at_once_has_a_release_and_no_hold() -> None:
+    case = Case(STANDARD_SOLID, hold=0.0)
+    trial = simulate(case)
+    found = segment(trial.force, trial.height)
+    assert found.t_hold is None
+    assert found.t_release == pytest.approx(trial.t_release, abs=1.5 / case.height_rate)
+    assert found.depth == pytest.approx(case.depth, rel=0.01)
+    assert [event.kind for event in run_online(trial)[0]] == ['contact', 'release', 'loss']
+
+
+def staircase() -> Measured:
+    """Return three pushes of 2 mm at 1 mm/s with rests of 30 s, in contact from the start."""
+    t = np.arange(0.0, 100.0, 0.02)
+    knots = [0.0, 2.0, 32.0, 34.0, 64.0, 66.0, 100.0]
+    x = np.interp(t, knots, [0.0, 2e-3, 2e-3, 4e-3, 4e-3, 6e-3, 6e-3])
+    force, _ = STANDARD_SOLID.integrate(t, x)
+    sigma = 1e-3
+    noisy = force + sigma * np.random.default_rng(5).standard_normal(t.size)
+    height = Signal(t, 0.05 - x)
+    return Measured(Signal(t, noisy), height, 0.0, 2.0, 32.0, None, sigma, 4.0, 1e-6, 0.0)
+
+
+def test_of_a_staircase_the_first_step_is_taken_and_the_rest_is_not_used() -> None:
+    found = segment(staircase().force, staircase().height)
+    assert found.t_contact == 0.0
+    assert found.t_hold == pytest.approx(2.0, abs=0.004)
+    assert found.t_release is found.t_loss is None
+    assert found.t_end == pytest.approx(32.0, abs=0.004)
+    assert found.depth == pytest.approx(2e-3, rel=1e-3)
+    assert any('first of 3 holds' in warning for warning in found.warnings)
+
+
+def test_online_tells_each_step_of_a_staircase() -> None:
+    events, segmenter = run_online(staircase())
+    kinds = [event.kind for event in events]
+    assert kinds == ['contact', 'hold', 'step', 'hold', 'step', 'hold']
+    assert [event.t for event in events] == pytest.approx([0, 2, 32, 34, 64, 66], abs=0.02)
+    assert segmenter.phase == 'hold'
+
+
+def held_withdrawal(plateau: float) -> Measured:
+    """Return a trial whose tool follows the recovering surface at a force of `plateau` [N]."""
+    case = Case(STANDARD_SOLID, hold=10.0)
+    trial = simulate(case)
+    t, h = trial.force.t, trial.height.t
+    sigma = trial.sigma
+    at_release = float(np.interp(trial.t_release, t, trial.force.value))
+    decay = np.exp(-np.maximum(t - trial.t_release, 0.0) / 1.5)
+    held = plateau + (at_release - plateau) * decay
+    noise = sigma * np.random.default_rng(3).standard_normal(t.size)
+    force = np.where(t < trial.t_release, trial.force.value, held + noise)
+    up = 1.0 - np.exp(-np.maximum(h - trial.t_release, 0.0) / 1.5)
+    height = np.where(h < trial.t_release, trial.height.value, 0.19 + 0.006 * up)
+    return replace(trial, force=Signal(t, force), height=Signal(h, height))
+
+
+def test_a_force_kept_on_withdrawal_ends_the_release_where_it_has_settled() -> None:
+    trial = held_withdrawal(0.4)
+    found = segment(trial.force, trial.height)
+    assert found.t_release == pytest.approx(trial.t_release, abs=0.02)
+    assert found.t_loss is not None
+    left = np.interp(found.t_loss, trial.force.t, trial.force.value) - 0.4
+    # Settled: within the band of 1.5 % of the peak or six standard deviations.
+    assert abs(left) <= max(0.015 * trial.peak, 6.0 * trial.sigma)
+    assert any('not lost for good' in warning for warning in found.warnings)
+
+
+def test_a_large_force_kept_on_withdrawal_is_no_loss_of_contact() -> None:
+    trial = held_withdrawal(0.3 * measured('standard solid').peak)
+    found = segment(trial.force, trial.height)
+    assert found.t_release is not None
+    assert found.t_loss is None
+    assert any('loss of contact is missing' in warning for warning in found.warnings)
+
+
+def test_a_surface_seen_below_the_tool_is_a_loss_of_contact_whatever_the_force() -> None:
+    trial = held_withdrawal(0.4)
+    t = np.arange(0.0, trial.height.t[-1], 0.1)
+    travel = 0.2 - trial.height.at(t)
+    noise = 2e-4 * np.random.default_rng(4).standard_normal(t.size)
+    follows = Signal(t, np.maximum(travel, 0.0) + noise)
+    stays = np.where(t > trial.t_release, np.maximum(travel, 8e-3), np.maximum(travel, 0.0))
+    apart = Signal(t, stays + noise)
+    kept = segment(trial.force, trial.height, follows)
+    free = segment(trial.force, trial.height, apart)
+    assert any('not lost for good' in warning for warning in kept.warnings)
+    assert not any('not lost for good' in warning for warning in free.warnings)
+    assert free.t_loss is not None
+
+
+def test_phases_do_not_depend_on_the_units_of_force_nor_on_its_zero() -> None:
+    trial = measured('standard solid')
+    found = segment(trial.force, trial.height)
+    scaled = Signal(trial.force.t, 1e-3 * trial.force.value + 7.0)
+    again = segment(scaled, trial.height)
+    for a, b in (
+        (found.t_contact, again.t_contact),
+        (found.t_hold, again.t_hold),
+        (found.t_release, again.t_release),
+        (found.t_loss, again.t_loss),
+    ):
+        # The offset costs digits of the force: 7 N over 1e-5 N of noise.
+        assert a == pytest.approx(b, abs=1e-3)
+
+
+def test_phases_move_with_the_start_of_the_clock() -> None:
+    trial = measured('hertz')
+    found = segment(trial.force, trial.height)
+    later = segment(
+        Signal(trial.force.t + 1000.0, trial.force.value),
+        Signal(trial.height.t + 1000.0, trial.height.value),
+    )
+    assert found.t_contact is not None and found.t_loss is not None
+    assert later.t_contact == pytest.approx(found.t_contact + 1000.0, abs=1e-3)
+    assert later.t_loss == pytest.approx(found.t_loss + 1000.0, abs=1e-3)
+
+
+def test_too_few_samples_are_refused_in_a_sentence() -> None:
+    few = Signal(np.arange(3.0), np.zeros(3))
+    with pytest.raises(InputError, match='too few'):
+        segment(few, few)
+
+
+def test_signals_of_different_times_are_refused_in_a_sentence() -> None:
+    early = Signal(np.arange(20.0), np.zeros(20))
+    late = Signal(np.arange(20.0) + 100.0, np.zeros(20))
+    with pytest.raises(InputError, match='do not overlap'):
+        segment(early, late)
+
+
+def test_constant_signals_are_no_contact() -> None:
+    t = np.arange(100.0)
+    still = Signal(t, np.full(100, 0.1))
+    found = segment(still, still)
+    assert found.t_contact is None
+    assert found.warnings
+
+
+@pytest.mark.parametrize(
+    'bad',
+    [{'contact_sigmas': 0.0}, {'rest_slowdown': 1.0}, {'rest_band': 0.6}, {'loss_fraction': 0.0}],
+)
+def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r'.'):
+        SegmentationOptions(**bad)
+
+
+def test_a_higher_threshold_detects_the_contact_later() -> None:
+    trial = measured('noise')
+    eager, _ = run_online(trial)
+    careful, _ = run_online(trial, SegmentationOptions(contact_sigmas=20.0))
+    assert careful[0].detected_at > eager[0].detected_at
+
+
+def test_online_ignores_samples_that_are_not_new() -> None:
+    trial = measured('three-element with yield force')
+    twice = Measured(**{name: getattr(trial, name) for name in Measured.__dataclass_fields__})
+    once, _ = run_online(twice)
+    segmenter = OnlineSegmenter()
+    events: list[PhaseEvent] = []
+    k = 0
+    for t, value in zip(trial.force.t.tolist(), trial.force.value.tolist(), strict=True):
+        while k < len(trial.height) and trial.height.t[k] <= t:
+            sample = float(trial.height.t[k]), float(trial.height.value[k])
+            events += segmenter.add_height(*sample)
+            events += segmenter.add_height(*sample)
+            k += 1
+        events += segmenter.add_force(t, value)
+        events += segmenter.add_force(t - 1e-3, value + 1.0)
+    assert events == once
+
+
+def test_online_memory_does_not_grow_with_the_record() -> None:
+    segmenter = OnlineSegmenter()
+    sizes = []
+    rng = np.random.default_rng(0)
+    for i, noise in enumerate(rng.standard_normal(150_000).tolist()):
+        segmenter.add_force(1e-3 * i, 0.01 * noise)
+        if i in (20_000, 149_999):
+            sizes.append(len(pickle.dumps(segmenter)))
+    # The history gains a level of 128 entries at most with each doubling of the record.
+    assert sizes[1] < 1.5 * sizes[0]
+
+
+def drawn(number: int) -> Case:
+    """Draw a trial from the ranges that the segmentation is for; the same for a number."""
+    rng = np.random.default_rng(number)
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    speed = 10.0 ** between(-4.0, math.log10(50e-3))
+    depth = 10.0 ** between(math.log10(2e-4), math.log10(30e-3))
+    force = 10.0 ** between(-2.0, math.log10(500.0))
+    push = depth / speed
+    relaxation_time = 10.0 ** between(math.log10(0.5), 2.0)
+    power = float(rng.choice([1.0, 1.5]))
+    share = between(0.2, 0.9)
+    stiffness = force / depth**power
+    body = Body(
+        (1.0 - share) * stiffness,
+        power,
+        share * stiffness,
+        relaxation_time,
+        # A pull within the band of the noise, six standard deviations, cannot be told from none.
+        adhesion=float(rng.choice([0.0, 0.2])) * force,
+    )
+    # At least 20 samples of either signal in the push, as a person would set the rate.
+    rate = min(1000.0, max(between(1.0, 4.0) * 20.0 / push, 0.4))
+    hold = max(0.6 * push, between(0.5, 3.0) * relaxation_time, 20.0 / rate)
+    return Case(
+        body,
+        speed=speed,
+        depth=depth,
+        return_speed=speed * between(0.5, 5.0),
+        wait=between(20.0, 60.0) / rate,
+        air=between(0.3, 3.0) * depth,
+        hold=hold,
+        recover=max(hold, push, 40.0 / rate),
+        force_rate=rate,
+        height_rate=rate * between(0.5, 1.0),
+        snr=between(100.0, 3000.0),
+        offset=between(-1.0, 1.0) * force,
+        seed=int(rng.integers(0, 10**6)),
+    )
+
+
+@pytest.mark.parametrize('number', range(50))
+def test_any_trial_in_range_is_segmented_within_the_bounds(number: int) -> None:
+    case = drawn(number)
+    trial = simulate(case)
+    found: Segmentation = segment(trial.force, trial.height)
+    assert found.t_contact is not None
+    assert abs(found.t_contact - trial.t_contact) <= 1.5 * contact_bound(case, trial)
+    assert found.t_hold is not None and found.t_release is not None
+    assert abs(found.t_hold - trial.t_hold) <= 0.3 / case.height_rate
+    # The samples sit at any phase of a withdrawal up to five times as fast as the push.
+    assert abs(found.t_release - trial.t_release) <= 0.5 / case.height_rate
+    assert found.t_loss is not None and trial.t_loss is not None
+    hidden = 3.0 * trial.loss_blur
+    assert abs(found.t_loss - trial.t_loss) <= max(3.0 / case.force_rate, hidden)
+    events, _ = run_online(trial)
+    assert [event.kind for event in events] == ['contact', 'hold', 'release', 'loss']

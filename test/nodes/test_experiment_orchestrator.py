@@ -1,0 +1,189 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The experiment orchestrator with the real nodes and the simulated cell, each a process."""
+
+from collections.abc import Iterator
+from pathlib import Path
+import signal
+import subprocess
+import sys
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
+from hapticvision_ros.bag.contract import (
+    CANCEL_EXPERIMENT,
+    EXPERIMENT_FEEDBACK,
+    EXPERIMENT_RESULT,
+    EXPERIMENT_STATUS,
+    PHASE,
+    RHEOLOGY_RESULT,
+    START_EXPERIMENT,
+)
+from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.pipeline import analyse
+from hapticvision_ros.nodes.conversions import values_from_status
+import pytest
+from std_srvs.srv import Trigger
+
+START = 60.0
+"""Seven processes start on a machine that may have two processors [s]."""
+SLOW = 90.0
+"""A push of some seconds, on such a machine [s]."""
+
+
+@pytest.fixture
+def world() -> Iterator[int]:
+    """Run a simulated world of modest rates, and give its port."""
+    command = [str(Path(sys.executable).with_name('simulated_world'))]
+    command += ['--object', 'soft_dough', '--force-rate', '200', '--arm-rate', '100']
+    with subprocess.Popen(
+        [*command, '--range-rate', '5'], stdout=subprocess.PIPE, encoding='utf-8'
+    ) as process:
+        assert process.stdout is not None
+        yield int(process.stdout.readline().split()[1])
+        process.send_signal(signal.SIGINT)
+
+
+@pytest.fixture
+def cell(world: int, start_node: Any, tmp_path: Path) -> dict[str, Any]:
+    """Start the nodes that an experiment needs."""
+    port = {'simulated_world_port': world}
+    goal = {
+        'speeds': '[0.01]',
+        'depths': '[0.005]',
+        'repeats': 1,
+        'hold_time': 2.0,
+        'recover_time': 2.0,
+        'rest_time': 0.1,
+        'output_folder': str(tmp_path / 'bags'),
+        'service_deadline': 40.0,
+        'stream_deadline': 3.0,
+        'feedback_period': 0.2,
+    }
+    return {
+        'load_cell_driver': start_node('load_cell_driver', port),
+        'range_sensor_driver': start_node(
+            'range_sensor_driver', port | {'width': 160, 'height': 120}
+        ),
+        'arm_push_controller': start_node(
+            'arm_push_controller', port | {'tool_height_rate': 100.0, 'stale_time': 0.5}
+        ),
+        'contact_point_planner': start_node('contact_point_planner'),
+        'rheology_fitter': start_node('rheology_fitter'),
+        'experiment_orchestrator': start_node('experiment_orchestrator', port | goal),
+    }
+
+
+def states(heard: list[Any], goal_id: str) -> list[int]:
+    """Return the states that a goal has gone through."""
+    return [
+        int(status.status)
+        for message in heard
+        for status in message.status_list
+        if bytes(status.goal_info.goal_id.uuid).hex() == goal_id
+    ]
+
+
+def test_an_experiment_records_a_whole_trial_that_live_and_offline_fits_agree_on(
+    cell, probe, until, tmp_path
+):
+    results, told = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_STATUS)
+    feedback, fits = probe.listen(EXPERIMENT_FEEDBACK), probe.listen(RHEOLOGY_RESULT)
+    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert answer.success, answer.message
+    again = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert not again.success
+    assert 'cancel it first' in again.message
+
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert (values['status'], values['complete']) == ('SUCCEEDED', '1'), values
+    bag = Path(values['bag 1'])
+    assert bag.name == 'trial_001_10.0mm_s_5mm_r1'
+    assert states(told, answer.message) == [
+        GoalStatus.STATUS_ACCEPTED,
+        GoalStatus.STATUS_EXECUTING,
+        GoalStatus.STATUS_SUCCEEDED,
+    ]
+    seen = {values_from_status(message)['phase'] for message in feedback}
+    assert {'hold', 'recover'} <= seen
+
+    trial = read_trial(bag)
+    assert [phase for _, phase in trial.phases][-1] == 'done'
+    assert trial.provenance['commanded_depth_m'] == '0.005'
+    offline = analyse(trial)
+    until(lambda: fits, 'the live fit', START)
+    live = values_from_status(fits[-1])
+    # The live fit has some tenths of a second of recovery more than the bag: no news of the push.
+    for name in ('depth_m', 'push_speed_m_s'):
+        expected = getattr(offline.segmentation, name.partition('_m')[0])
+        assert float(live[name]) == pytest.approx(expected, rel=1e-3), name
+
+    refused = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert not refused.success, 'nothing is overwritten'
+    assert 'exists already' in refused.message
+
+
+def test_a_cancelled_push_keeps_its_bag_and_says_so(cell, probe, until):
+    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
+    goal_id = probe.call(START_EXPERIMENT, Trigger.Request(), START).message
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, results[-1].message
+    answer = probe.call(CANCEL_EXPERIMENT, CancelGoal.Request())
+    assert answer.return_code == CancelGoal.Response.ERROR_NONE
+    assert bytes(answer.goals_canceling[0].goal_id.uuid).hex() == goal_id
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert values['status'] == 'CANCELED'
+    bag = Path(values['bag 1'])
+    assert bag.name.endswith('_aborted')
+    assert len(read_trial(bag).force) > 10
+    late = probe.call(CANCEL_EXPERIMENT, CancelGoal.Request())
+    assert late.return_code == CancelGoal.Response.ERROR_REJECTED
+
+
+def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
+    cell, probe, until
+):
+    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
+    probe.set_parameters('experiment_orchestrator', {'service_deadline': 10.0, 'hold_time': 20.0})
+    until(
+        lambda: (
+            probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+            or pytest.fail('refused')
+        ),
+        'the goal',
+        START,
+    )
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, values_from_status(results[-1])
+    cell['arm_push_controller'].stop(signal.SIGKILL)
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert values['status'] == 'ABORTED'
+    assert '/arm/tool_height has been silent' in results[-1].message
+    assert len(read_trial(Path(values['bag 1'])).force) > 10
+
+
+def test_a_folder_that_cannot_be_written_is_refused_at_once(start_node, probe):
+    start_node('experiment_orchestrator', {'output_folder': '/proc/nowhere'})
+    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert not answer.success
+    assert 'cannot be used for the bags' in answer.message
