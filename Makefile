@@ -51,7 +51,7 @@ lock: setup ## Turn requirements.in into requirements.lock: newest versions, wit
 	  --output-file requirements.lock requirements.in
 
 bench: setup ## Run the benchmarks: ratios, measured side by side.
-	@for script in bench/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+	@for script in bench/bench_*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
 clean: ## Remove .venv and everything that was made.
 	rm -rf .venv out build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache \
