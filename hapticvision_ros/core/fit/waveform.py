@@ -80,12 +80,12 @@ class Prediction:
     Parameters
     ----------
     force : Signal
-        Measured contact force in push and hold, without the load cell's zero [N]; two samples on
-        either side of the path's corners are left out.
+        Measured contact force in push and hold, without the load cell's zero [N]; glitches and two
+        samples on either side of the path's corners are left out.
     force_fitted : ndarray
         The model's force at the same times [N].
     height : Signal or None
-        Measured displacement height in the free recovery [m].
+        Measured displacement height in the free recovery, without glitches [m].
     height_fitted : ndarray or None
         The model's at the same times [m].
     misses : tuple of PhaseMiss
@@ -215,11 +215,11 @@ def fit_waveform(
     # A vanishing branch, so that the same equations predict a bare dashpot.
     body = ThreeElement.from_maxwell(eta, max(k, 1e-9 * eta / T, 1e-12), T)
     predictions = tuple(
-        None if contact is None else _predict(contact, body, trial, phases)
+        None if contact is None else _predict(contact, body, trial, phases, warnings)
         for contact, (trial, phases) in zip(contacts, trials, strict=True)
     )
     kept_out = tuple(
-        None if contact is None else _predict(contact, body, trial, phases)
+        None if contact is None else _predict(contact, body, trial, phases, warnings)
         for trial, phases in held_out
         for contact in (_contact(trial, phases, warnings),)
     )
@@ -254,12 +254,24 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
     knot_t, knot_height = _tool_path(Signal(tool.t, original - tool.value), breaks)
     apart = np.min(np.abs(np.subtract.outer(force.t, breaks)), axis=1) > _corner(trial, breaks)
     force = Signal(force.t[apart], force.value[apart])
+    force = _without_glitches(force, trial.name, 'force in contact', warnings)
     if len(force) < MIN_SAMPLES:
         warnings.append(f'{trial.name}: too few samples in contact to fit a model')
         return None
-    good = ~find_glitches(force.value)
-    block_t, block_force, block_weight = _average(force.t[good], force.value[good], breaks)
+    block_t, block_force, block_weight = _average(force.t, force.value, breaks)
     return _Contact(knot_t, knot_height, force, phases.t_hold, block_t, block_force, block_weight)
+
+
+def _without_glitches(signal: Signal, trial: str, what: str, warnings: list[str]) -> Signal:
+    """Return a signal without its glitches, and warn of them."""
+    glitch = find_glitches(signal.value)
+    count = int(np.count_nonzero(glitch))
+    if not count:
+        return signal
+    glitches = '1 glitch' if count == 1 else f'{count} glitches'
+    verb = 'was' if count == 1 else 'were'
+    warnings.append(f'{trial}: {glitches} of the {what} {verb} set aside')
+    return Signal(signal.t[~glitch], signal.value[~glitch])
 
 
 def _corner(trial: Trial, breaks: Sequence[float]) -> float:
@@ -433,7 +445,11 @@ def _bounded(name: str, value: float, std: float) -> Estimate:
 
 
 def _predict(
-    contact: _Contact, body: ThreeElement, trial: Trial, phases: Segmentation
+    contact: _Contact,
+    body: ThreeElement,
+    trial: Trial,
+    phases: Segmentation,
+    warnings: list[str],
 ) -> Prediction:
     """Return what the body does in a trial, beside what was measured."""
     t = contact.force.t
@@ -449,7 +465,7 @@ def _predict(
         if chosen.any() and peak > 0.0:
             rmse = math.sqrt(float(np.mean(residual[chosen] ** 2)))
             misses.append(PhaseMiss('push' if phase == 'push' else 'hold', rmse, rmse / peak))
-    height = _free_height(trial, phases)
+    height = _free_height(trial, phases, warnings)
     height_fitted = None
     if height is not None and phases.t_release is not None:
         height_fitted = _recovered(contact, body, trial, phases.t_release, height)
@@ -458,7 +474,7 @@ def _predict(
     return Prediction(contact.force, fitted, height, height_fitted, tuple(misses))
 
 
-def _free_height(trial: Trial, phases: Segmentation) -> Signal | None:
+def _free_height(trial: Trial, phases: Segmentation, warnings: list[str]) -> Signal | None:
     """Return the displacement height from the loss of contact on, if it was measured."""
     if phases.t_release is None or trial.displacement_height is None:
         return None
@@ -466,7 +482,9 @@ def _free_height(trial: Trial, phases: Segmentation) -> Signal | None:
     if start is None:
         return None
     record = trial.displacement_height.between(start, phases.t_end)
-    return record if len(record) else None
+    if not len(record):
+        return None
+    return _without_glitches(record, trial.name, 'height in the recovery', warnings)
 
 
 def _recovered(

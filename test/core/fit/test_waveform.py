@@ -178,3 +178,81 @@ def test_a_record_without_noise_says_so(two_decays: Callable[..., Segmented]) ->
     assert 'no noise' in str(estimate_noise(trial, phases).force.reason)
     missing = estimate_noise(replace(trial, displacement_height=None), phases)
     assert 'not recorded' in str(missing.height.reason)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_curvature_of_a_slow_record_is_no_noise(
+    two_decays: Callable[..., Segmented], seed: int
+) -> None:
+    # 16 samples at 10 Hz last twice the retardation time.
+    trial, phases = two_decays(
+        H0=0.002,
+        H_inf=0.004,
+        retardation_time=0.8,
+        recovery=4.0,
+        height_rate=10.0,
+        height_noise=4e-5,
+        seed=seed,
+    )
+    trial = _with_longer_baseline(trial, 4e-5, seed)
+    height = estimate_noise(trial, phases).height.value
+    assert height is not None
+    # The larger of 50 samples of baseline and 2 windows of recovery: 0.76 to 1.45 in 200 seeds.
+    assert height == pytest.approx(4e-5, rel=0.5)
+
+
+def _with_longer_baseline(trial: Trial, noise: float, seed: int) -> Trial:
+    """Return the trial with 4 s of displacement height at 10 Hz more before it begins."""
+    height = trial.displacement_height
+    assert height is not None
+    t = np.arange(-4.0, -0.05, 0.1)
+    before = noise * np.random.default_rng((seed, 7)).standard_normal(t.size)
+    together = np.concatenate((t, height.t)), np.concatenate((before, height.value))
+    return replace(trial, displacement_height=Signal(*together))
+
+
+def _with_spikes(signal: Signal, at: tuple[float, ...], size: float) -> Signal:
+    """Return the signal with spikes at some times."""
+    value = signal.value.copy()
+    value[np.searchsorted(signal.t, at)] += size
+    return Signal(signal.t, value)
+
+
+@pytest.mark.parametrize(
+    ('at', 'told'), [((5.0,), '1 glitch of {} was'), ((5.0, 6.0), '2 glitches of {} were')]
+)
+def test_a_glitch_of_the_force_is_neither_fitted_nor_counted_as_a_miss(
+    plain: Callable[..., Segmented], at: tuple[float, ...], told: str
+) -> None:
+    trial, phases = plain(0.005, 0.010, 1)
+    clean = fit_waveform([(trial, phases)], [(trial, phases)], NOISE)
+    spiked = replace(trial, force=_with_spikes(trial.force, at, 1e6))
+    fit = fit_waveform([(spiked, phases)], [(spiked, phases)], NOISE)
+    assert clean.train is not None and clean.train.force_rmse is not None
+    for error in (fit.train, fit.held_out):
+        # One sample less of 2,000.
+        assert error is not None
+        assert error.force_rmse == pytest.approx(clean.train.force_rmse, rel=0.01)
+    for prediction in (*fit.predictions, *fit.held_out_predictions):
+        assert prediction is not None
+        assert max(miss.rmse for miss in prediction.misses) < 0.03
+    expected = f'{trial.name}: {told.format("the force in contact")} set aside'
+    assert fit.warnings.count(expected) == 2
+    assert not any('glitch' in warning for warning in clean.warnings)
+
+
+def test_a_glitch_of_the_height_is_not_counted_as_a_miss(plain: Callable[..., Segmented]) -> None:
+    trial, phases = plain(0.005, 0.010, 1)
+    assert trial.displacement_height is not None
+    clean = fit_waveform([(trial, phases)], [], NOISE)
+    spiked = replace(
+        trial,
+        displacement_height=_with_spikes(
+            trial.displacement_height, (float(trial.displacement_height.t[-300]),), 0.1
+        ),
+    )
+    fit = fit_waveform([(spiked, phases)], [], NOISE)
+    assert clean.train is not None and clean.train.height_rmse is not None
+    assert fit.train is not None
+    assert fit.train.height_rmse == pytest.approx(clean.train.height_rmse, rel=0.01)
+    assert f'{trial.name}: 1 glitch of the height in the recovery was set aside' in fit.warnings
