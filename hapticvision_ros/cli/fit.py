@@ -33,7 +33,7 @@ from hapticvision_ros.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
-    from hapticvision_ros.core.records import Estimate, Trial
+    from hapticvision_ros.core.records import Estimate
     from hapticvision_ros.report.quantities import Unit, UnitSystem
 
 MODELS = ('three-element',)
@@ -104,14 +104,14 @@ def fit_bags(bags: Sequence[Path], hold_out: Sequence[Path]) -> 'CampaignAnalysi
     Raises
     ------
     InputError
-        If a bag cannot be read.
+        If bags cannot be read or analysed: it names them all.
 
     """
     # The numerics take longer to import than a wrong argument takes to be told.
-    from hapticvision_ros.core.pipeline import analyse, analyse_campaign
+    from hapticvision_ros.core.pipeline import analyse_campaign
 
     count = len(bags)
-    analyses = [analyse(trial) for trial in _read([*bags, *hold_out])]
+    analyses = _analyse([*bags, *hold_out])
     return analyse_campaign(analyses[:count], analyses[count:])
 
 
@@ -212,21 +212,28 @@ def _check(args: argparse.Namespace) -> None:
         seen.add(resolved)
 
 
-def _read(bags: Sequence[Path]) -> 'list[Trial]':
-    """Read all bags, or name all that cannot be read."""
+def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':
+    """Read and analyse all bags, or name all with which that fails."""
     from hapticvision_ros.bag.reader import read_trial
+    from hapticvision_ros.core.pipeline import analyse
 
-    trials, complaints = [], []
+    analyses, complaints = [], []
     for bag in bags:
         try:
-            trials.append(read_trial(bag))
+            trial = read_trial(bag)
         except InputError as error:
             complaints.append(str(error).rstrip('.'))
+            continue
+        try:
+            analyses.append(analyse(trial))
+        except InputError as error:
+            # The numerics know no files.
+            complaints.append(f'{bag}: {str(error).rstrip(".")}')
     if complaints:
         more = len(complaints) - _MOST_NAMED
         named = '; '.join(complaints[:_MOST_NAMED]) + (f'; and {more} more' if more > 0 else '')
         raise InputError(f'{named}.')
-    return trials
+    return analyses
 
 
 def _paper_table(analyses: 'Sequence[TrialAnalysis]', system: 'UnitSystem') -> list[str]:

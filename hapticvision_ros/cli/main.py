@@ -12,66 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``hapticvision``: one verb, one file, imported only when it is asked for."""
+"""
+``hapticvision``: where the command starts.
 
-import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib import import_module
-import os
+Nothing is imported here before `main` is ready for Ctrl-C.
+"""
+
 import sys
-from typing import Final, NoReturn, Protocol, TextIO
 
-from hapticvision_ros.core.errors import HapticVisionError, UsageError
-
-INTERRUPTED: Final = 130
+INTERRUPTED = 130
 """Exit code after Ctrl-C, as of a shell: 128 + SIGINT."""
 
 
-class VerbModule(Protocol):
-    """What the module of a verb offers."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the verb's arguments."""
-        ...
-
-    def run(self, args: argparse.Namespace) -> int:
-        """Do it, and return the exit code."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Verb:
-    """A verb: `module` below ``hapticvision_ros.cli``, and what it does in one line."""
-
-    module: str
-    summary: str
-
-
-VERBS: Final = {
-    'import': Verb('import_csv', 'turn measured CSV files into bags'),
-    'fit': Verb('fit', 'estimate rheological parameters from bags'),
-    'demo': Verb('demo', 'run an experiment on the simulated cell, fit it and real data'),
-    'cell': Verb('cell', "start the cell's nodes"),
-    'replay': Verb('replay', 'play a bag through the nodes'),
-}
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser that complains in one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise what `main` prints."""
-        raise UsageError(f'{message.rstrip(".")}; see {self.prog} --help.')
-
-
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """
     Run the command line and return its exit code.
 
     Parameters
     ----------
-    argv : sequence of str or None
+    argv : list of str or None
         The arguments; None for those of the process.
 
     Returns
@@ -80,43 +39,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         0: done. 2: bad input or usage, told in one sentence on standard error. 130: interrupted.
 
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        code = _run(arguments)
-        sys.stdout.flush()
-        return code
-    except HapticVisionError as error:
-        print(f'hapticvision: {error}', file=sys.stderr)
-        return error.exit_code
+        from hapticvision_ros.cli.command import run
+
+        return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         print('hapticvision: interrupted.', file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output has left, as `head` does; nothing is wrong here.
-        _silence(sys.stdout)
-        return 0
-
-
-def _run(arguments: Sequence[str]) -> int:
-    """Parse the arguments and run the verb."""
-    parser = Parser(
-        prog='hapticvision',
-        description='Robotic texture analyser: rheological parameters from touch and sight.',
-    )
-    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
-    asked = next((argument for argument in arguments if argument in VERBS), None)
-    module: VerbModule | None = None
-    for name, verb in VERBS.items():
-        subparser = verbs.add_parser(name, help=verb.summary, description=verb.summary + '.')
-        if name == asked:
-            module = import_module(f'hapticvision_ros.cli.{verb.module}')
-            module.add_arguments(subparser)
-    args = parser.parse_args(arguments)
-    if module is None:
-        raise UsageError('say what to do; see hapticvision --help.')
-    return module.run(args)
-
-
-def _silence(stream: TextIO) -> None:
-    """Let nothing more be written to a closed pipe, not even at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

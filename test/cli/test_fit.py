@@ -17,6 +17,8 @@
 import json
 from pathlib import Path
 
+from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, TOOL_HEIGHT
+from hapticvision_ros.bag.writer import BagWriter
 from hapticvision_ros.cli.fit import write_json
 from hapticvision_ros.cli.main import main
 import pytest
@@ -80,6 +82,23 @@ def test_every_bag_that_cannot_be_read_is_named_and_nothing_is_written(
     assert len(shown.err.splitlines()) == 1
     assert 'broken.mcap' in shown.err and 'missing.mcap' in shown.err
     assert shown.out == ''
+    assert not (tmp_path / 'out').exists()
+
+
+def test_every_bag_that_cannot_be_analysed_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = [tmp_path / name / 'take_1' for name in ('monday', 'tuesday')]
+    for bag in short:
+        with BagWriter(bag) as writer:
+            for index in range(5):
+                stamp = 10**9 + 10**7 * index
+                writer.write_wrench(stamp, (0.0, 0.0, -1.0))
+                for topic in (TOOL_HEIGHT, DISPLACEMENT_HEIGHT):
+                    writer.write_float64(topic, stamp, 0.01)
+    assert _fit(short[0], SLOW, '--hold-out', short[1], '--out', tmp_path / 'out') == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert all(f'{bag}: the force has 5 samples, too few' in error for bag in short)
     assert not (tmp_path / 'out').exists()
 
 

@@ -18,7 +18,8 @@ import importlib
 import subprocess
 import sys
 
-from hapticvision_ros.cli.main import INTERRUPTED, main, VERBS
+from hapticvision_ros.cli.command import VERBS
+from hapticvision_ros.cli.main import INTERRUPTED, main
 from hapticvision_ros.core.errors import InputError
 import pytest
 
@@ -55,10 +56,11 @@ def test_wrong_usage_is_one_sentence_and_exit_code_2(
     assert '--help' in shown.err
 
 
+@pytest.mark.parametrize('message', ['no such bag', 'no such bag.'])
 def test_bad_input_is_one_sentence_and_exit_code_2(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _fail_with(monkeypatch, InputError('no such bag.'))
+    _fail_with(monkeypatch, InputError(message))
     assert main(['fit', 'a', '--out', 'b']) == 2
     assert capsys.readouterr().err == 'hapticvision: no such bag.\n'
 
@@ -69,6 +71,29 @@ def test_an_interrupt_ends_with_130(
     _fail_with(monkeypatch, KeyboardInterrupt())
     assert main(['fit', 'a', '--out', 'b']) == INTERRUPTED == 130
     assert 'Traceback' not in capsys.readouterr().err
+
+
+def test_an_interrupt_of_the_very_first_import_ends_with_130() -> None:
+    # A Ctrl-C at the first import other than that of the entry point itself.
+    code = (
+        'import signal, sys\n'
+        'class Interrupt:\n'
+        '    def find_spec(self, name, path=None, target=None):\n'
+        "        if name not in ('hapticvision_ros', 'hapticvision_ros.cli', "
+        "'hapticvision_ros.cli.main'):\n"
+        '            sys.meta_path.remove(self)\n'
+        '            print(name)\n'
+        '            signal.raise_signal(signal.SIGINT)\n'
+        'sys.meta_path.insert(0, Interrupt())\n'
+        'from hapticvision_ros.cli.main import main\n'
+        "sys.exit(main(['--help']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stderr == 'hapticvision: interrupted.\n'
+    assert done.stdout == 'hapticvision_ros.cli.command\n'
+    assert done.returncode == INTERRUPTED
 
 
 def test_a_defect_of_the_package_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:

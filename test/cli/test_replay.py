@@ -42,6 +42,7 @@ def test_what_cannot_be_played_is_refused_before_anything_starts(arguments, says
     error = capsys.readouterr().err
     assert says in error
     assert error.count('\n') == 1, 'one sentence'
+    assert error.endswith('.\n') and not error.endswith('..\n')
 
 
 def test_a_bag_goes_through_the_nodes_to_printed_numbers():

@@ -1,0 +1,103 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command line: one verb, one file, imported only when it is asked for."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+import os
+import sys
+from typing import Final, NoReturn, Protocol, TextIO
+
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
+
+
+class VerbModule(Protocol):
+    """What the module of a verb offers."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the verb's arguments."""
+        ...
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do it, and return the exit code."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """A verb: `module` below ``hapticvision_ros.cli``, and what it does in one line."""
+
+    module: str
+    summary: str
+
+
+VERBS: Final = {
+    'import': Verb('import_csv', 'turn measured CSV files into bags'),
+    'fit': Verb('fit', 'estimate rheological parameters from bags'),
+    'demo': Verb('demo', 'run an experiment on the simulated cell, fit it and real data'),
+    'cell': Verb('cell', "start the cell's nodes"),
+    'replay': Verb('replay', 'play a bag through the nodes'),
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that complains in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what `run` prints."""
+        raise UsageError(f'{message.rstrip(".")}; see {self.prog} --help.')
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line and return its exit code, unless it is interrupted."""
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+        return code
+    except HapticVisionError as error:
+        # One sentence, whether it was written for this line or for a list of warnings.
+        print(f'hapticvision: {str(error).rstrip(".")}.', file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        # The reader of our output has left, as `head` does; nothing is wrong here.
+        _silence(sys.stdout)
+        return 0
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Parse the arguments and run the verb."""
+    parser = Parser(
+        prog='hapticvision',
+        description='Robotic texture analyser: rheological parameters from touch and sight.',
+    )
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+    asked = next((argument for argument in arguments if argument in VERBS), None)
+    module: VerbModule | None = None
+    for name, verb in VERBS.items():
+        subparser = verbs.add_parser(name, help=verb.summary, description=verb.summary + '.')
+        if name == asked:
+            module = import_module(f'hapticvision_ros.cli.{verb.module}')
+            module.add_arguments(subparser)
+    args = parser.parse_args(arguments)
+    if module is None:
+        raise UsageError('say what to do; see hapticvision --help.')
+    return module.run(args)
+
+
+def _silence(stream: TextIO) -> None:
+    """Let nothing more be written to a closed pipe, not even at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
