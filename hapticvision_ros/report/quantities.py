@@ -28,6 +28,7 @@ MINUS: Final = '\u2212'
 PLUS_MINUS: Final = '\u00b1'
 
 _DIGITS_OF_ERROR: Final = 2
+_MOST_DIGITS: Final = 6
 _UNGROUPED_DIGITS: Final = 3
 _LARGEST_PLAIN_EXPONENT: Final = 6
 _SMALLEST_PLAIN_EXPONENT: Final = -4
@@ -137,7 +138,8 @@ def format_number(value: float, std: float | None = None, digits: int = 4) -> st
         The number, finite.
     std : float or None
         Its standard error, in the same unit. The error is printed with two digits and the number
-        to the same place.
+        to the same place, but with no more than six digits: no instrument here has more, and an
+        error below the last of them is printed rounded up.
     digits : int
         Digits of a number without an error.
 
@@ -166,6 +168,10 @@ def format_number(value: float, std: float | None = None, digits: int = 4) -> st
         return _fixed(scaled, last) + (_power(power) if power else '')
     error = std / 10.0**power
     last = _exponent(error) - _DIGITS_OF_ERROR + 1
+    if value and last < (finest := _exponent(scaled) - _MOST_DIGITS + 1):
+        last = finest
+        # Rounded to nearest, it could read as none; 1e-9 is more than the scaling's own rounding.
+        error = max(1, math.ceil(error * 10.0**-last - 1e-9)) * 10.0**last
     both = f'{_fixed(scaled, last)} {PLUS_MINUS} {_fixed(error, last)}'
     return f'({both}){_power(power)}' if power else both
 

@@ -14,6 +14,7 @@
 
 
 import math
+import re
 
 from hapticvision_ros.report.quantities import (
     format_number,
@@ -48,6 +49,13 @@ def read_back(text: str) -> float:
         (38.27123, None, '38.27'),
         (0.0, None, '0.000'),
         (-1e-9, 0.1, '0.00 ± 0.10'),
+        # Data without noise: the error is that of the arithmetic.
+        (4.02709755516070622, 9.7e-16, '4.02710 ± 0.00001'),
+        (5011.3, 0.07, '5\u202f011.30 ± 0.07'),
+        (5011.3, 0.0444, '5\u202f011.30 ± 0.05'),
+        (1.2345678e7, 3.0, '(1.23457 ± 0.00001)\u202f×\u202f10⁷'),
+        (-2.0, 0.0001, '\u22122.00000 ± 0.00010'),
+        (0.0, 1e-9, '(0.0 ± 1.0)\u202f×\u202f10⁻⁹'),
     ],
 )
 def test_the_error_decides_the_digits(value: float, std: float | None, text: str) -> None:
@@ -60,7 +68,19 @@ def test_rounding_moves_a_number_by_less_than_a_tenth_of_its_error(
 ) -> None:
     # Two digits of the error: half a unit of the second digit is at most 1/20 of the error.
     shown = read_back(format_number(value, std))
-    assert abs(shown - value) <= 0.051 * std + 1e-12 * abs(value)
+    # Half a unit of the sixth digit of the number is at most 5e-6 of it.
+    assert abs(shown - value) <= max(0.051 * std, 5.1e-6 * abs(value)) + 1e-12 * abs(value)
+
+
+@given(FINITE, ERRORS)
+def test_an_error_is_never_shown_as_none_and_a_number_never_with_more_than_six_digits(
+    value: float, std: float
+) -> None:
+    number, _, error = format_number(value, std).partition(' ± ')
+    assert re.search('[1-9]', error.partition('\u202f×')[0])
+    digits = re.sub('[^0-9]', '', number).lstrip('0')
+    # Rounded up to the next power of ten, a number has one more; a large error has its own place.
+    assert len(digits) <= 7 or std > abs(value)
 
 
 @given(FINITE)
