@@ -254,7 +254,7 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
     knot_t, knot_height = _tool_path(Signal(tool.t, original - tool.value), breaks)
     apart = np.min(np.abs(np.subtract.outer(force.t, breaks)), axis=1) > _corner(trial, breaks)
     force = Signal(force.t[apart], force.value[apart])
-    force = _without_glitches(force, trial.name, 'force in contact', warnings)
+    force = _without_glitches(force, breaks[1:-1], trial.name, 'force in contact', warnings)
     if len(force) < MIN_SAMPLES:
         warnings.append(f'{trial.name}: too few samples in contact to fit a model')
         return None
@@ -262,9 +262,13 @@ def _contact(trial: Trial, phases: Segmentation, warnings: list[str]) -> _Contac
     return _Contact(knot_t, knot_height, force, phases.t_hold, block_t, block_force, block_weight)
 
 
-def _without_glitches(signal: Signal, trial: str, what: str, warnings: list[str]) -> Signal:
+def _without_glitches(
+    signal: Signal, breaks: Sequence[float], trial: str, what: str, warnings: list[str]
+) -> Signal:
     """Return a signal without its glitches, and warn of them."""
-    glitch = find_glitches(signal.value)
+    # Piece by piece, since the peak between push and hold is as short as a burst.
+    pieces = np.split(signal.value, np.searchsorted(signal.t, breaks))
+    glitch = np.concatenate([find_glitches(piece) for piece in pieces])
     count = int(np.count_nonzero(glitch))
     if not count:
         return signal
@@ -484,7 +488,7 @@ def _free_height(trial: Trial, phases: Segmentation, warnings: list[str]) -> Sig
     record = trial.displacement_height.between(start, phases.t_end)
     if not len(record):
         return None
-    return _without_glitches(record, trial.name, 'height in the recovery', warnings)
+    return _without_glitches(record, (), trial.name, 'height in the recovery', warnings)
 
 
 def _recovered(

@@ -256,3 +256,9 @@ def test_a_glitch_of_the_height_is_not_counted_as_a_miss(plain: Callable[..., Se
     assert fit.train is not None
     assert fit.train.height_rmse == pytest.approx(clean.train.height_rmse, rel=0.01)
     assert f'{trial.name}: 1 glitch of the height in the recovery was set aside' in fit.warnings
+
+
+def test_the_peak_between_push_and_hold_is_no_glitch(bingham: type) -> None:
+    trial, phases = bingham().make(push_speed=0.005, depth=0.008, hold=8.0, recovery=1.0)
+    fit = fit_waveform([(_noisy(trial, 1), phases)], [], NOISE)
+    assert not any('glitch' in warning for warning in fit.warnings)
