@@ -15,6 +15,7 @@
 
 """The messages of one topic on their way from a bag to a trial: decoded, timed, put in order."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -94,7 +95,7 @@ class Timed:
     payload: _Payload
 
 
-class Stream:
+class Stream(ABC):
     """
     Collects the messages of one topic; subclasses decode them.
 
@@ -122,9 +123,9 @@ class Stream:
         self._stamps = np.empty(0, np.int64)
         self._rows: _Payload = np.empty(0)
 
+    @abstractmethod
     def decode(self, batch: Batch) -> tuple[IntArray | None, _Payload, BoolArray]:
         """Return header stamps, what the messages hold, and which of them can be read."""
-        raise NotImplementedError
 
     def add(self, batch: Batch) -> None:
         """Take in the messages of a batch."""
