@@ -214,6 +214,10 @@ class Segmentation:
         Tool displacement from T_c to the hold [m].
     warnings : tuple of str
         What could not be found, and why.
+    force_zero_std : float
+        Standard error of `force_zero` [N], corrected for autocorrelation; 0 where it is unknown.
+    contact_height_std : float
+        Standard error of `contact_height` [m]; 0 where it is unknown.
 
     """
 
@@ -227,3 +231,5 @@ class Segmentation:
     push_speed: float | None
     depth: float | None
     warnings: tuple[str, ...] = ()
+    force_zero_std: float = 0.0
+    contact_height_std: float = 0.0

@@ -49,6 +49,7 @@ from hapticvision_ros.core.fit.exponential import (
     fit_exponential,
     MIN_SAMPLES,
 )
+from hapticvision_ros.core.fit.noise import estimate_noise
 from hapticvision_ros.core.fit.release import (
     pressed_in,
     sampling_interval,
@@ -69,6 +70,15 @@ LONGEST_EXTRAPOLATION: Final = 3.0
 
 UNCONVERGED: Final = 0.02
 """A bouncing part that is longer at T_e than eq. (13) takes it to be, by more than this share."""
+
+MISSED: Final = 2.0
+"""A fit with a residual of more than this many times the noise does not describe the record."""
+
+IRRELEVANT: Final = 1e-3
+"""A misfit smaller than this share of the decay is none, however quiet the sensor."""
+
+ROUNDING: Final = 1e-12
+"""Steps below this share of the signal are arithmetic."""
 
 WORST_RELATIVE_ERROR: Final = 0.5
 """A time constant with a larger relative standard error is not told by the record."""
@@ -169,12 +179,15 @@ def fit_paper(trial: Trial, segmentation: Segmentation) -> PaperResult:
     -------
     PaperResult
         Estimates with standard errors from the residuals of the two fits, corrected for their
-        autocorrelation and propagated to first order. They hold no error of the phases' times
-        and none of the model. What the trial cannot tell is unknown, with the reason.
+        autocorrelation, and from the errors of the load cell's zero and of the contact height,
+        propagated to first order. They hold no error of T_s, T_e and the loss of contact and
+        none of the model: where the fit misses by far more than the noise, a warning says so.
+        What the trial cannot tell is unknown, with the reason.
 
     """
-    hold = _fit_hold(trial, segmentation)
-    recovery = _fit_recovery(trial, segmentation)
+    noise = estimate_noise(trial, segmentation)
+    hold = _fit_hold(trial, segmentation, noise.force)
+    recovery = _fit_recovery(trial, segmentation, noise.height)
     K1, C1, C2 = _parameters(hold, recovery)
     return PaperResult(
         relaxation_time=hold.time_constant,
@@ -231,6 +244,26 @@ def _set_aside(fit: ExponentialFit, what: str) -> tuple[str, ...]:
     )
 
 
+def _missed(
+    fit: ExponentialFit, record: Signal, noise: Estimate, name: str, scale: float, unit: str
+) -> tuple[str, ...]:
+    """Return the sentence on a decay that one exponential misses by far more than the noise."""
+    if noise.value is None:
+        return ()
+    step = np.abs(np.diff(record.value))
+    step = step[step > ROUNDING * float(np.abs(record.value).max())]
+    resolution = float(step.min()) / math.sqrt(12.0) if step.size else 0.0
+    blur = math.hypot(noise.value, resolution)
+    seen = fit.referred_to(fit.start).amplitude
+    if fit.noise <= max(MISSED * blur, IRRELEVANT * abs(seen)):
+        return ()
+    return (
+        f'one exponential does not describe the {name}: it misses by {scale * fit.noise:.2g} '
+        f'{unit} rms where the noise of a sample is {scale * blur:.2g} {unit}, which the standard '
+        'errors do not hold',
+    )
+
+
 def _unconverged(hold: _Decay, recovery: _Decay, phases: Segmentation) -> tuple[str, ...]:
     """
     Return the sentence on a hold that ends before its force has converged.
@@ -253,7 +286,7 @@ def _unconverged(hold: _Decay, recovery: _Decay, phases: Segmentation) -> tuple[
     )
 
 
-def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
+def _fit_hold(trial: Trial, segmentation: Segmentation, noise: Estimate) -> _Decay:
     """Fit eq. (4) to the hold."""
     if segmentation.t_hold is None:
         return _unknown_decay('the trial has no hold')
@@ -273,11 +306,11 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     drop, drop_std = fit.drop
     if abs(drop) <= max(SIGNIFICANT * drop_std, NEGLIGIBLE * abs(fit.mean)):
         reason = (
-            f'the force does not relax: it falls by {fit.slide:.2g} ± {fit.slide_std:.2g} N from '
-            f'{fit.mean:.4g} N in the hold of {fit.span:.3g} s'
+            f'no relaxation is told in the hold of {fit.span:.3g} s: a straight line through the '
+            f'force of {fit.mean:.4g} N changes by {-fit.slide:+.2g} ± {fit.slide_std:.2g} N'
         )
         slide = max(abs(fit.slide), fit.slide_std)
-        limit_std = math.hypot(fit.mean_std, slide)
+        limit_std = math.hypot(fit.mean_std, slide, segmentation.force_zero_std)
         return _Decay(
             Estimate.unknown(reason),
             Estimate(0.0, slide, reason),
@@ -292,19 +325,20 @@ def _fit_hold(trial: Trial, segmentation: Segmentation) -> _Decay:
     if reason:
         return _unknown_decay(reason, fit)
     caution = _extrapolated(fit, 'hold')
-    amplitude_std, time_std, offset_std = fit.std
-    order = np.ix_((1, 0, 2), (1, 0, 2))
+    covariance = fit.covariance[np.ix_((1, 0, 2), (1, 0, 2))]
+    covariance[2, 2] += segmentation.force_zero_std**2
+    time_std, amplitude_std, limit_std = np.sqrt(np.diag(covariance)).tolist()
     return _Decay(
         Estimate(fit.time_constant, time_std, caution),
         Estimate(fit.amplitude, amplitude_std, caution),
-        Estimate(fit.offset, offset_std, caution),
-        fit.covariance[order],
+        Estimate(fit.offset, limit_std, caution),
+        covariance,
         fit,
-        warnings,
+        warnings + _missed(fit, record, noise, 'hold', 1.0, 'N'),
     )
 
 
-def _fit_recovery(trial: Trial, segmentation: Segmentation) -> _Decay:
+def _fit_recovery(trial: Trial, segmentation: Segmentation, noise: Estimate) -> _Decay:
     """Fit eq. (10) to the free recovery."""
     height = trial.displacement_height
     released = segmentation.t_release
@@ -368,6 +402,7 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation) -> _Decay:
                 f'{1e3 * at_once:.3g} mm came back at once on release, beside the '
                 f'{1e3 * amplitude:.3g} mm of eq. (10): the three-element model has no such part',
             )
+    warnings += _missed(fit, record, noise, 'recovery', 1e3, 'mm')
     extrapolated = _extrapolated(fit, 'recovery')
     time_std, amplitude_std, limit_std = np.sqrt(np.diag(covariance)).tolist()
     return _Decay(

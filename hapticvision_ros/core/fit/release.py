@@ -56,12 +56,18 @@ def start_of_recovery(
 
 
 def pressed_in(trial: Trial, segmentation: Segmentation, released: float) -> tuple[float, float]:
-    """Return H(T_e) and its standard error [m]."""
+    """
+    Return H(T_e) and its standard error [m].
+
+    From the tool it has the error of the contact height, which no number of samples of the hold
+    makes smaller.
+    """
     since = max(released - 1.0, segmentation.t_hold or released - 1.0)
     if segmentation.contact_height is not None:
         record = trial.tool_height.between(since, released)
         if len(record):
             error = float(record.value.std()) / math.sqrt(len(record))
+            error = math.hypot(error, segmentation.contact_height_std)
             return segmentation.contact_height - float(np.median(record.value)), error
     height = trial.displacement_height
     if height is not None:

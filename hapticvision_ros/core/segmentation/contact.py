@@ -15,13 +15,16 @@
 """Where the tool first touches the object, once it is known about when."""
 
 from dataclasses import dataclass
+import math
 from typing import Literal
 
+from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop, level
 import numpy as np
 
 _BLOCKS = 20
+_FEWEST = 8
 _GLITCH = 9.0
 """Median deviations beyond which a sample without contact is a glitch: 6 sigma."""
 
@@ -42,6 +45,10 @@ class Touch:
     found : {'approach', 'rest', 'start'}
         After an approach in air; as a tool that rested on the object starts; or the record
         starts in contact.
+    zero_std : float
+        Standard error of `zero` [N]; 0 where there is none.
+    travel_std : float
+        Standard error of the tool's travel at `t` [m]; 0 where the touch is not in the record.
 
     """
 
@@ -49,6 +56,8 @@ class Touch:
     zero: float | None
     drift: float
     found: Literal['approach', 'rest', 'start']
+    zero_std: float = 0.0
+    travel_std: float = 0.0
 
 
 def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:
@@ -184,6 +193,8 @@ def locate_touch(
     reach = float(tw[-1]) - onset.t
     before = int(np.searchsorted(t, onset.t - 0.1 * reach))
     drift, zero = 0.0, onset.baseline
+    scatter = math.sqrt(onset.rest / max(tw.size - 5.0, 1.0))
+    zero_std = scatter / math.sqrt(max(before, 1))
     if before >= _BLOCKS:
         drift, error = slope(t[:before], force[:before])
         if abs(drift) > 4.0 * error:
@@ -191,7 +202,8 @@ def locate_touch(
             onset = fit_onset(tw, fw - drift * (tw - onset.t), travel, earliest, latest)
         else:
             drift = 0.0
-        zero = _quiet_level(force[:before] - drift * (t[:before] - onset.t))
+        quiet = force[:before] - drift * (t[:before] - onset.t)
+        zero, zero_std = quiet_level(quiet, (t[:before] - onset.t) if drift else None)
     far = float(np.max(x) - x[0])
     away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
     moved = int(np.argmax(away))
@@ -200,15 +212,65 @@ def locate_touch(
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             still = force[t < started]
-            resting = float(np.mean(still)) if still.size else None
-            return Touch(started, resting, 0.0, 'rest')
+            if not still.size:
+                return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
+            _, error = quiet_level(still)
+            return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
-    return Touch(onset.t, zero, drift, 'approach')
+    error = _travel_std(tw, fw, travel, onset.t, onset.baseline, scatter)
+    return Touch(onset.t, zero, drift, 'approach', zero_std, math.hypot(error, travel_noise))
 
 
-def _quiet_level(value: FloatArray) -> float:
-    """Return the mean of all that is no glitch: correlated noise needs a long average."""
+def _travel_std(
+    t: FloatArray,
+    force: FloatArray,
+    travel: FloatArray,
+    touch: float,
+    baseline: float,
+    scatter: float,
+) -> float:
+    """Return the error of the travel [m] that the error of the time of touch makes."""
+    after = min(max(int(np.searchsorted(t, touch)), 1), t.size - 1)
+    interval = max(float(np.median(np.diff(t))), float(t[after] - t[after - 1]))
+    duration = max(float(t[-1]) - touch, interval)
+    speed = abs(float(travel[-1] - np.interp(touch, t, travel))) / duration
+    between = interval / math.sqrt(12.0)
+    if abs(float(force[after]) - baseline) > 5.0 * scatter:
+        return speed * between
+    # No jump: a parabola extrapolated to its start has three times the error of a mean.
+    rate = abs(float(force[-1]) - baseline) / duration
+    toe = 3.0 * scatter / max(rate * math.sqrt(t.size - after), 1e-300)
+    return speed * math.hypot(between, min(toe, duration))
+
+
+def quiet_level(value: FloatArray, u: FloatArray | None = None) -> tuple[float, float]:
+    """
+    Return the mean of all that is no glitch: correlated noise needs a long average.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        A level with noise.
+    u : ndarray, shape (n,), optional
+        Where a straight line has been taken out of `value`: the coordinate of that, zero where
+        it was taken to be zero.
+
+    Returns
+    -------
+    level, error : float
+        The mean and its standard error, corrected for autocorrelation.
+
+    """
     centre = float(np.median(value))
     off = np.abs(value - centre)
-    return float(np.mean(value[off <= _GLITCH * float(np.median(off))]))
+    # More than half of the samples of a coarse load cell may be equal.
+    kept = off <= (_GLITCH * float(np.median(off)) or float(np.max(off)))
+    quiet = value[kept]
+    mean = float(np.mean(quiet))
+    if quiet.size < _FEWEST:
+        return mean, float(np.std(quiet)) / math.sqrt(max(quiet.size - 1, 1))
+    ones = np.ones(quiet.size)
+    columns = (ones,) if u is None else (ones, u[kept])
+    covariance = least_squares_covariance(np.stack(columns).T, (quiet - mean,))
+    return mean, math.sqrt(float(covariance[0, 0]))

@@ -15,10 +15,16 @@
 """The phases of a recorded trial, from the whole of its signals."""
 
 from dataclasses import dataclass
+import math
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
-from hapticvision_ros.core.segmentation.contact import fit_start, locate_touch, slope
+from hapticvision_ros.core.segmentation.contact import (
+    fit_start,
+    locate_touch,
+    quiet_level,
+    slope,
+)
 from hapticvision_ros.core.segmentation.events import SegmentationOptions
 from hapticvision_ros.core.segmentation.fits import (
     despike,
@@ -32,6 +38,8 @@ from hapticvision_ros.core.segmentation.fits import (
 import numpy as np
 
 _FEWEST = 8
+_MOVED = 5.0
+"""Standard errors by which two levels without contact differ for certain."""
 _NO_PUSH = (
     'the force is largest at the start of the record: it starts in contact, and the push is not '
     'in it'
@@ -53,12 +61,18 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class _Contact:
-    """First touch: time [s], force zero [N] or None where there is none, force peak [N]."""
+    """
+    First touch: time [s], force zero [N] or None where there is none, force peak [N].
+
+    With the standard errors of the zero [N] and of the travel at the touch [m].
+    """
 
     t: float | None
     zero: float | None
     amplitude: float
     warnings: tuple[str, ...]
+    zero_std: float = 0.0
+    travel_std: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +129,24 @@ def segment(
     contact = _find_contact(record, options)
     warnings = list(contact.warnings)
     if contact.t is None:
-        zero = float(np.median(record.f))
-        return Segmentation(None, None, None, None, t_end, None, zero, None, None, tuple(warnings))
+        middle = float(np.median(record.f))
+        return Segmentation(
+            None, None, None, None, t_end, None, middle, None, None, tuple(warnings)
+        )
     x_contact = float(np.interp(contact.t, record.tx, record.x))
     t_hold, t_release, t_stop, level, notes = _find_motion(record, contact.t, x_contact, options)
     warnings += notes
     t_end = min(t_end, t_stop)
-    t_loss, after_loss, notes = _find_loss(
+    t_loss, free, notes = _find_loss(
         record, contact, t_release, t_end, x_contact, displacement_height, options
     )
     warnings += notes
-    zero_known = contact.zero if contact.zero is not None else after_loss
-    if zero_known is None:
+    zero, zero_std = contact.zero, contact.zero_std
+    if zero is None and free is not None:
+        zero, zero_std = free
+    elif zero is not None and free is not None:
+        warnings += _moved_zero(zero, zero_std, *free)
+    if zero is None:
         warnings.append(
             'the record has no force without contact: the zero of the load cell is taken as 0 N'
         )
@@ -144,11 +164,24 @@ def segment(
         t_loss=t_loss,
         t_end=t_end,
         contact_height=float(tool_height.value[0]) - x_contact,
-        force_zero=zero_known if zero_known is not None else 0.0,
+        force_zero=zero if zero is not None else 0.0,
         push_speed=push_speed,
         depth=depth,
         warnings=tuple(warnings),
+        force_zero_std=zero_std,
+        contact_height_std=contact.travel_std,
     )
+
+
+def _moved_zero(zero: float, zero_std: float, free: float, free_std: float) -> list[str]:
+    """Return the sentence on a zero of the load cell that is another after the trial."""
+    moved, error = free - zero, math.hypot(zero_std, free_std)
+    if abs(moved) <= _MOVED * error:
+        return []
+    return [
+        f'the zero of the load cell moved by {moved:+.2g} ± {error:.1g} N from before contact to '
+        'after its loss, which is not corrected: forces late in the trial are off by up to that'
+    ]
 
 
 def _prepare(force: Signal, tool_height: Signal) -> _Record:
@@ -210,7 +243,9 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         ),
         'start': ('the force rises from the first sample: contact is at the start of the record',),
     }
-    return _Contact(touch.t, touch.zero, amplitude, notes[touch.found])
+    return _Contact(
+        touch.t, touch.zero, amplitude, notes[touch.found], touch.zero_std, touch.travel_std
+    )
 
 
 def _find_rests(
@@ -360,8 +395,8 @@ def _find_loss(
     x_contact: float,
     displacement_height: Signal | None,
     options: SegmentationOptions,
-) -> tuple[float | None, float | None, list[str]]:
-    """Return t_loss, the force level after it, and warnings."""
+) -> tuple[float | None, tuple[float, float] | None, list[str]]:
+    """Return t_loss, the force level without contact after it and its error, and warnings."""
     if t_release is None:
         return None, None, []
     first, last = np.searchsorted(record.tf, (t_release, t_end + 1e-9))
@@ -371,7 +406,8 @@ def _find_loss(
         return None, None, [missing]
     late = f.size - max(5, f.size // 10)
     tail = f[late:]
-    level = float(np.mean(tail))
+    level, level_std = quiet_level(tail)
+    level_std = max(level_std, record.force_noise / math.sqrt(tail.size))
     band = max(
         options.contact_sigmas * record.force_noise, options.loss_fraction * contact.amplitude
     )
@@ -395,7 +431,7 @@ def _find_loss(
     outside = np.flatnonzero(np.abs(f - level) > band)
     coarse = int(outside[-1]) + 1 if outside.size else 0
     if coarse == 0:
-        return t_release, level, []
+        return t_release, (level, level_std), []
     coarse = min(coarse, f.size - 1)
     if not free:
         return (
@@ -417,4 +453,4 @@ def _find_loss(
     hidden = 2 * (coarse - int(fading[-1])) if fading.size else 2
     earliest = -float(t[min(coarse + max(hidden, 2), stop - 1)])
     onset = fit_onset(back_t, back_f, back_t, earliest, latest)
-    return max(t_release, -onset.t), level, []
+    return max(t_release, -onset.t), (level, level_std), []

@@ -212,7 +212,61 @@ def test_a_spring_has_no_relaxation_and_its_stiffness_from_the_held_force(
     for unknown in (result.relaxation_time, result.retardation_time, result.C1, result.C2):
         assert unknown.value is None
         assert unknown.reason
-    assert 'does not relax' in str(result.relaxation_time.reason)
+    assert 'no relaxation' in str(result.relaxation_time.reason)
+
+
+def test_a_slow_drift_of_a_spring_is_not_called_a_relaxation_nor_denied(
+    two_decays: Maker,
+) -> None:
+    trial, phases = two_decays(F0=0.0, F_inf=36.0, force_noise=2.0, correlation=0.99)
+    reason = str(fit_paper(trial, phases).relaxation_time.reason)
+    assert 'no relaxation is told' in reason
+    change, error = (float(word) for word in reason.split('by ')[1].split(' N')[0].split(' ± '))
+    assert abs(change) < 5.0 * error
+    assert 'fall' not in reason and 'does not relax' not in reason
+
+
+@pytest.mark.parametrize('second', [0.0, 0.5], ids=['one exponential', 'two'])
+def test_a_hold_of_two_exponentials_is_told_with_the_size_of_the_misfit(
+    two_decays: Maker, second: float
+) -> None:
+    trial, phases = two_decays(force_noise=0.01, height_noise=1e-5)
+    assert phases.t_hold is not None and phases.t_release is not None
+    t = trial.force.t
+    held = (t >= phases.t_hold) & (t < phases.t_release)
+    extra = np.where(held, second * np.exp(-(t - phases.t_hold) / 0.3), 0.0)
+    result = fit_paper(
+        replace(trial, force=Signal(t, trial.force.value + extra)),
+        phases,
+    )
+    said = [text for text in result.warnings if 'one exponential does not describe' in text]
+    assert len(said) == (1 if second else 0)
+    if second:
+        assert result.hold_fit is not None
+        assert 'the hold' in said[0]
+        missed = float(said[0].split('misses by ')[1].split(' N')[0])
+        # Two digits are printed.
+        assert missed == pytest.approx(result.hold_fit.noise, rel=0.05)
+        assert missed > 0.02
+
+
+def test_a_recovery_of_two_exponentials_is_told(two_decays: Maker) -> None:
+    trial, phases = two_decays(height_noise=5e-6)
+    height, lost = trial.displacement_height, phases.t_loss
+    assert height is not None and lost is not None
+    extra = np.where(height.t >= lost, 5e-4 * np.exp(-(height.t - lost) / 0.2), 0.0)
+    result = fit_paper(
+        replace(trial, displacement_height=Signal(height.t, height.value + extra)), phases
+    )
+    assert any('describe the recovery' in text for text in result.warnings)
+
+
+def test_a_coarse_load_cell_is_no_misfit(two_decays: Maker) -> None:
+    # A step of 0.05 N far above the noise: the residual is that of rounding.
+    trial, phases = two_decays(force_noise=1e-3)
+    rounded = np.round(trial.force.value / 0.05) * 0.05
+    result = fit_paper(replace(trial, force=Signal(trial.force.t, rounded)), phases)
+    assert not result.warnings
 
 
 def test_a_hold_far_shorter_than_its_decay_tells_no_limit(two_decays: Maker) -> None:
