@@ -17,6 +17,7 @@
 from dataclasses import replace
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign, TrialAnalysis
@@ -25,6 +26,7 @@ from hapticvision_ros.core.result import PAPER_KEYS, result_document
 import numpy as np
 import pytest
 
+RESULT_PAGE = Path(__file__).parents[2] / 'doc' / 'result.md'
 TRIAL_KEYS = {'bag', 'push_speed_m_s', 'depth_m', 't_contact_s', 't_hold_s', 't_release_s'}
 TRIAL_KEYS |= {'paper', 'paper_std', 'warnings'}
 ERROR_KEYS = {'force_rmse_N', 'height_rmse_m', 'force_chi2', 'height_chi2'}
@@ -152,3 +154,57 @@ def test_what_cannot_be_told_is_null_with_its_reason() -> None:
         assert any(key in warning and 'no release' in warning for warning in trial['warnings'])
     assert trial['paper']['tau_s'] == pytest.approx(2.0, rel=0.02)
     assert document['noise']['height_m'] is None
+
+
+def _keys(node: Any, path: str = '') -> dict[str, list[Any]]:
+    """Return the values at each key of a document, named as doc/result.md names them."""
+    found: dict[str, list[Any]] = {}
+    for key, value in node.items():
+        kind = '*' if path in ('before.parameters.', 'before.error.') else key
+        if path == 'before.error.':
+            found[path + key] = [value]
+        if isinstance(value, dict) and key != 'paper_std':
+            below = [_keys(value, f'{path}{kind}.')]
+        elif key == 'trials':
+            below = [_keys(trial, 'trials[].') for trial in value]
+        else:
+            below = [] if path == 'before.error.' else [{path + kind: [value]}]
+        for some in below:
+            for name, values in some.items():
+                found.setdefault(name, []).extend(values)
+    return found
+
+
+def test_the_page_on_the_result_has_every_key_and_says_when_it_is_null(
+    analyses: tuple[TrialAnalysis, TrialAnalysis],
+) -> None:
+    rows = [
+        [cell.strip() for cell in line.strip('|').split('|')]
+        for line in RESULT_PAGE.read_text().splitlines()
+        if line.startswith('| `')
+    ]
+    null_when = {key.strip('`'): when for key, _, _, when in rows}
+    assert len(null_when) == len(rows)
+    full = result_document(analyse_campaign(analyses[:1], analyses[1:]), ['a'], ['b'])
+    assert set(_keys(full)) == set(null_when)
+    untouched = replace(_trial(), displacement_height=None)
+    t = untouched.force.t
+    untouched = replace(untouched, force=Signal(t, np.zeros(t.size)))
+    empty = result_document(analyse_campaign([analyse(untouched)]), ['a'])
+    nulls = set()
+    for document in (full, empty):
+        for key, values in _keys(document).items():
+            if None in values:
+                nulls.add(key)
+    assert not [key for key in nulls if null_when[key].startswith('never')]
+    always = {key for key, when in null_when.items() if when.startswith('always')}
+    assert always == {'diagnosis', 'after'} == {k for k, v in _keys(full).items() if v == [None]}
+    # A trial without any contact lacks all that can be lacking, but for the errors' own entries,
+    # which it does not have, and the errors of estimates, which are null one by one.
+    sometimes = {key for key, when in null_when.items() if not when.startswith('never')}
+    assert sometimes - nulls == {
+        'trials[].paper_std',
+        'before.error.*.height_rmse_m',
+        'before.error.*.force_chi2',
+        'before.error.*.height_chi2',
+    }

@@ -259,6 +259,6 @@ def test_a_glitch_of_the_height_is_not_counted_as_a_miss(plain: Callable[..., Se
 
 
 def test_the_peak_between_push_and_hold_is_no_glitch(bingham: type) -> None:
-    trial, phases = bingham().make(push_speed=0.005, depth=0.008, hold=8.0, recovery=1.0)
+    trial, phases = bingham().make(push_speed=0.01, depth=0.010, hold=8.0, recovery=1.0)
     fit = fit_waveform([(_noisy(trial, 1), phases)], [], NOISE)
     assert not any('glitch' in warning for warning in fit.warnings)
