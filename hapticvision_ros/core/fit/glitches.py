@@ -38,6 +38,8 @@ _SIGMAS: Final = 8.0
 _LAST: Final = slice(-_HALF_WIDTH - 1, -1)
 _LOCAL_SPREADS: Final = 5.0
 _SCALES: Final = (1, 4, 16, 64)
+_TYPICAL_SAMPLES: Final = 4096
+"""Windows that tell the noise of a long record."""
 
 
 def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
@@ -83,23 +85,37 @@ def _outlying(value: FloatArray, floor: float) -> NDArray[np.bool_]:
     # Continued point-symmetrically beyond either end, so that a slope stays monotone there.
     head = 2.0 * value[0] - value[_HALF_WIDTH:0:-1]
     tail = 2.0 * value[-1] - np.flip(value[_LAST])
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.concatenate((head, value, tail)), 2 * _HALF_WIDTH + 1
-    )
-    running = np.partition(windows, _HALF_WIDTH, axis=1)[:, _HALF_WIDTH]
-    departure = np.abs(value - running)
+    padded = np.concatenate((head, value, tail))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HALF_WIDTH + 1)
+    thin = max(1, value.size // _TYPICAL_SAMPLES)
+    departure = np.abs(value[::thin] - _middle(windows[::thin]))
     # On a slope steeper than the noise most departures are nil; second differences still see it.
-    curvature = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
+    curvature = np.abs(value[2::thin] - 2.0 * value[1:-1:thin] + value[:-2:thin])
     typical = max(float(np.median(departure)), float(np.median(curvature)) / math.sqrt(6.0))
     limit = max(_SIGMAS * NORMAL_FROM_MAD * typical, floor)
-    outlying = np.asarray(departure > limit)
-    suspects = np.flatnonzero(outlying)
-    if suspects.size:
-        # A smooth turn of the signal departs as well, but no further than its neighbours do.
-        spread = np.abs(windows[suspects] - running[suspects, np.newaxis])
-        local = np.partition(spread, _HALF_WIDTH, axis=1)[:, _HALF_WIDTH]
-        outlying[suspects] = departure[suspects] > _LOCAL_SPREADS * local
+    # No sample departs from a median by more than from the extremes of its window.
+    highest, lowest = _running(np.maximum, padded), _running(np.minimum, padded)
+    suspects = np.flatnonzero(np.maximum(highest - value, value - lowest) > limit)
+    running = _middle(windows[suspects])
+    departure = np.abs(value[suspects] - running)
+    # A smooth turn of the signal departs as well, but no further than its neighbours do.
+    local = _middle(np.abs(windows[suspects] - running[:, np.newaxis]))
+    outlying = np.zeros(value.size, dtype=np.bool_)
+    outlying[suspects] = (departure > limit) & (departure > _LOCAL_SPREADS * local)
     return outlying
+
+
+def _middle(windows: FloatArray) -> FloatArray:
+    """Return the median of each window."""
+    return np.asarray(np.partition(windows, _HALF_WIDTH, axis=1)[:, _HALF_WIDTH])
+
+
+def _running(larger: np.ufunc, padded: FloatArray) -> FloatArray:
+    """Return the extremes over windows of 11 samples, by doubling: 2, 4, 8, 11."""
+    two = larger(padded[:-1], padded[1:])
+    four = larger(two[:-2], two[2:])
+    eight = larger(four[:-4], four[4:])
+    return np.asarray(larger(eight[:-3], eight[3:]))
 
 
 def _resolution(value: FloatArray) -> float:
