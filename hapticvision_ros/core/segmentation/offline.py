@@ -38,6 +38,8 @@ from hapticvision_ros.core.segmentation.fits import (
 import numpy as np
 
 _FEWEST = 8
+_IRRELEVANT = 1e-3
+"""A zero that moves by less than this share of the peak spoils nothing."""
 _MOVED = 5.0
 """Standard errors by which two levels without contact differ for certain."""
 _NO_PUSH = (
@@ -49,7 +51,11 @@ _DEFAULTS = SegmentationOptions()
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """The despiked signals: force at `tf` [s, N], travel at `tx` [s, m], and their noise."""
+    """
+    The despiked signals: force at `tf` [s, N], travel at `tx` [s, m], and their noise.
+
+    `force_step` is the error of a reading of the force by the load cell's step [N].
+    """
 
     tf: FloatArray
     f: FloatArray
@@ -57,6 +63,7 @@ class _Record:
     x: FloatArray
     force_noise: float
     travel_noise: float
+    force_step: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +152,7 @@ def segment(
     if zero is None and free is not None:
         zero, zero_std = free
     elif zero is not None and free is not None:
-        warnings += _moved_zero(zero, zero_std, *free)
+        warnings += _moved_zero(zero, zero_std, *free, contact.amplitude)
     if zero is None:
         warnings.append(
             'the record has no force without contact: the zero of the load cell is taken as 0 N'
@@ -173,10 +180,12 @@ def segment(
     )
 
 
-def _moved_zero(zero: float, zero_std: float, free: float, free_std: float) -> list[str]:
+def _moved_zero(
+    zero: float, zero_std: float, free: float, free_std: float, amplitude: float
+) -> list[str]:
     """Return the sentence on a zero of the load cell that is another after the trial."""
     moved, error = free - zero, math.hypot(zero_std, free_std)
-    if abs(moved) <= _MOVED * error:
+    if abs(moved) <= max(_MOVED * error, _IRRELEVANT * amplitude):
         return []
     return [
         f'the zero of the load cell moved by {moved:+.2g} ± {error:.1g} N from before contact to '
@@ -202,12 +211,19 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
     x = tool_height.value[0] - despike(tool_height.value)
     inside = slice(*np.searchsorted(force.t, (start, stop + 1e-12)))
     f_noise, x_noise = noise_std(force.value), noise_std(tool_height.value)
-    # An encoder's step is an error that a rest does not show.
-    steps = np.abs(np.diff(x))
+    x_noise = max(x_noise, _coarseness(x))
+    return _Record(
+        force.t[inside], f[inside], tool_height.t, x, f_noise, x_noise, _coarseness(force.value)
+    )
+
+
+def _coarseness(value: FloatArray) -> float:
+    """Return the error of a reading by the sensor's step, which a rest hides; 0 if it is fine."""
+    steps = np.abs(np.diff(value))
     moving = steps[steps > 0.0]
-    if moving.size and moving.size < 0.7 * steps.size:
-        x_noise = max(x_noise, 0.3 * float(np.min(moving)))
-    return _Record(force.t[inside], f[inside], tool_height.t, x, f_noise, x_noise)
+    if not moving.size or moving.size >= 0.7 * steps.size:
+        return 0.0
+    return 0.3 * float(np.min(moving))
 
 
 def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
@@ -243,9 +259,8 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         ),
         'start': ('the force rises from the first sample: contact is at the start of the record',),
     }
-    return _Contact(
-        touch.t, touch.zero, amplitude, notes[touch.found], touch.zero_std, touch.travel_std
-    )
+    zero_std = 0.0 if touch.zero is None else math.hypot(touch.zero_std, record.force_step)
+    return _Contact(touch.t, touch.zero, amplitude, notes[touch.found], zero_std, touch.travel_std)
 
 
 def _find_rests(
@@ -408,6 +423,7 @@ def _find_loss(
     tail = f[late:]
     level, level_std = quiet_level(tail)
     level_std = max(level_std, record.force_noise / math.sqrt(tail.size))
+    level_std = math.hypot(level_std, record.force_step)
     band = max(
         options.contact_sigmas * record.force_noise, options.loss_fraction * contact.amplitude
     )

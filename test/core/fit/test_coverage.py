@@ -62,8 +62,11 @@ def _recorded(exact: Trial, seed: int, correlation: float) -> Trial:
     )
 
 
-@pytest.mark.parametrize('withdrawal', [0.001, 0.05], ids=['keeps pace', 'left behind'])
-@pytest.mark.parametrize('correlation', [0.0, 0.6], ids=['white', 'AR(1)'])
+@pytest.mark.parametrize(
+    ('withdrawal', 'correlation'),
+    [(0.001, 0.0), (0.001, 0.6), (0.05, 0.6)],
+    ids=['keeps pace, white', 'keeps pace, AR(1)', 'left behind, AR(1)'],
+)
 def test_errors_hold_those_of_the_zero_and_of_the_contact_height(
     bingham: type, withdrawal: float, correlation: float
 ) -> None:
@@ -104,3 +107,21 @@ def test_a_zero_that_has_moved_is_told_with_its_size(bingham: type) -> None:
     assert abs(told - moved) < 4.0 * error < 0.05
     # It is told and not corrected.
     assert phases.force_zero == analyse(trial).segmentation.force_zero
+
+
+def test_a_steady_reading_of_a_coarse_load_cell_has_the_error_of_its_step(bingham: type) -> None:
+    exact, _ = bingham().make(hold=24.0, rate=FINE)
+    trial = _recorded(exact, 1, 0.0)
+    step = 0.1
+    clean = np.interp(trial.force.t, exact.force.t, exact.force.value)
+    rounded = step * np.round((clean + 0.04) / step)
+    coarse = analyse(replace(trial, force=Signal(trial.force.t, rounded)))
+    # The true zero of 0.04 N reads 0 N throughout.
+    assert coarse.segmentation.force_zero == 0.0
+    assert coarse.segmentation.force_zero_std == pytest.approx(step / math.sqrt(12.0), rel=0.05)
+    assert not coarse.warnings
+
+
+def test_an_exact_trial_warns_of_nothing(bingham: type) -> None:
+    exact, _ = bingham().make(hold=40.0, rate=200.0)
+    assert not analyse(exact).warnings
