@@ -1,0 +1,205 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""What a diagnosis says, and how far a model misses trials: the results that others read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from hapticvision_ros.core.fit.campaign import Fit
+
+type Status = Literal['none', 'explained', 'partly_explained', 'unexplained']
+type Channel = Literal['force', 'height']
+type Phase = Literal['approach', 'push', 'hold', 'release', 'recover']
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """
+    How far a model misses some samples of one channel.
+
+    Parameters
+    ----------
+    samples : int
+        How many samples.
+    rmse : float
+        Root mean square of measured minus predicted [N or m].
+    chi2 : float or None
+        Mean squared residual over the squared noise of a sample; None where the noise is unknown.
+    percent_of_range : float or None
+        `rmse` in percent of the range of the measured values; None where that is zero.
+
+    """
+
+    samples: int
+    rmse: float
+    chi2: float | None
+    percent_of_range: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Misfits:
+    """
+    How far a model misses a set of trials.
+
+    Parameters
+    ----------
+    total : mapping of Channel to Misfit
+        Over all samples; without a channel that was not recorded.
+    by_phase : mapping of (Channel, Phase) to Misfit
+        Over all trials.
+    by_trial : mapping of (str, Channel) to Misfit
+        Over all phases; the first key is the trial's name.
+
+    """
+
+    total: Mapping[Channel, Misfit]
+    by_phase: Mapping[tuple[Channel, Phase], Misfit]
+    by_trial: Mapping[tuple[str, Channel], Misfit]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutChange:
+    """
+    By how much an added effect changes the error on unseen trials.
+
+    Parameters
+    ----------
+    ratio : float
+        Whitened squares of the unseen samples with the effect over those without.
+    change, std : float
+        Mean change of the whitened squares of a trial, and its standard error over the trials
+        (0.0 where there is only one).
+
+    """
+
+    ratio: float
+    change: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """
+    One effect, held against the model that was chosen without it.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    score : float
+        By how much it lowers minus twice the log likelihood.
+    delta_bic : float
+        `score` less the price of its parameters: what it gains by Schwarz's criterion.
+    held_out_ratio : float or None
+        Squares on trials left out in turn, with the effect over without; None where unknown.
+    strength : float
+        Root mean square of what it changes in the prediction, over the noise of a sample.
+
+    """
+
+    effect: str
+    score: float
+    delta_bic: float
+    held_out_ratio: float | None
+    strength: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """
+    What is left when nothing in the library explains it.
+
+    Parameters
+    ----------
+    share_of_chi2 : float
+        Part of the squares beyond the noise, before any effect, that is left.
+    where : tuple of str
+        One sentence for each thing known of it: channel and phase, size, what it goes with.
+
+    """
+
+    share_of_chi2: float
+    where: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NextTrial:
+    """
+    The trial that would tell most.
+
+    Parameters
+    ----------
+    push_speed, depth, hold_time : float
+        The push [m/s, m, s].
+    separates : tuple of str
+        The two candidates that it is to tell apart, or one parameter that it is to sharpen.
+    gain : float
+        Expected separation [standard deviations], or factor on the standard error.
+    reason : str
+        Why, as a sentence.
+
+    """
+
+    push_speed: float
+    depth: float
+    hold_time: float
+    separates: tuple[str, ...]
+    gain: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """
+    What the base model lacks.
+
+    Parameters
+    ----------
+    status : Status
+        The answer.
+    effects : tuple of str
+        Accepted effects in the order of their adding: the leader of each set.
+    sets : tuple of (tuple of str)
+        For each, the effects that these trials cannot tell from it, itself first.
+    not_testable : tuple of str
+        What these trials cannot show.
+    look_alikes : tuple of (str, str, float)
+        Pairs of effects with the cosine of what they change.
+    ranking : tuple of Candidate
+        All testable effects by `delta_bic`, as each stands alone beside the base model.
+    unexplained : Unexplained or None
+        What is left.
+    next_trial : NextTrial or None
+        What to push next.
+    before, after : Fit
+        The base model and the one with the accepted effects; the same without any.
+    warnings : tuple of str
+        What a reader must know.
+
+    """
+
+    status: Status
+    effects: tuple[str, ...]
+    sets: tuple[tuple[str, ...], ...]
+    not_testable: tuple[str, ...]
+    look_alikes: tuple[tuple[str, str, float], ...]
+    ranking: tuple[Candidate, ...]
+    unexplained: Unexplained | None
+    next_trial: NextTrial | None
+    before: Fit
+    after: Fit
+    warnings: tuple[str, ...]
