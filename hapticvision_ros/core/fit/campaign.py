@@ -35,7 +35,8 @@ import math
 from types import MappingProxyType
 from typing import Final, Protocol
 
-from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
+from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, runs
@@ -251,7 +252,8 @@ class Problem:
     """
     The least-squares problem of a campaign: whitened residuals and Jacobian.
 
-    The state holds the p shared parameters (theta), then for each trial its q own parameters, its
+    The state holds the p shared parameters (theta), then for each trial its q own parameters, the
+    logarithms by which its K1, C1 and C2 differ from the shared ones where trials scatter, its
     force zero and its height zero, as far as its record can tell them.
 
     Parameters
@@ -260,23 +262,25 @@ class Problem:
         What to fit.
     trials : sequence of FitTrial
         The trials.
+    scatter : ndarray, shape (3,), optional
+        Standard deviations of the logarithms of K1, C1 and C2 from trial to trial; none by
+        default.
 
     """
 
-    def __init__(self, model: Model, trials: Sequence[FitTrial]) -> None:
+    def __init__(
+        self, model: Model, trials: Sequence[FitTrial], scatter: FloatArray | None = None
+    ) -> None:
         self.model = model
         self.trials = tuple(trials)
+        self.scatter = np.empty(0) if scatter is None else np.asarray(scatter, dtype=np.float64)
         self.p = len(model.parameters)
         self.q = len(model.trial_parameters)
         self.places: list[slice] = []
         self.names = list(model.names)
         stop = self.p
         for trial in self.trials:
-            names = [
-                *model.trial_names,
-                *(['force_zero'] if trial.has_force_zero else []),
-                *(['height_zero'] if trial.has_height_zero else []),
-            ]
+            names = self.own_names(trial)
             self.places.append(slice(stop, stop + len(names)))
             self.names += [f'{name} of {trial.name}' for name in names]
             stop += len(names)
@@ -319,11 +323,20 @@ class Problem:
             weights.append(_Weights(force_filter, height_filter))
         self._weights = tuple(weights)
 
+    def own_names(self, trial: FitTrial) -> list[str]:
+        """Return what a trial's own parameters are called, in their order."""
+        return [
+            *self.model.trial_names,
+            *[f'scatter of {name}' for name in self.model.names[: self.scatter.size]],
+            *(['force_zero'] if trial.has_force_zero else []),
+            *(['height_zero'] if trial.has_height_zero else []),
+        ]
+
     def own(self, state: FloatArray, index: int) -> tuple[FloatArray, float, float]:
         """Return a trial's own parameters and the zeros of its force and height."""
         values = state[self.places[index]]
         trial = self.trials[index]
-        force_zero = float(values[self.q]) if trial.has_force_zero else 0.0
+        force_zero = float(values[self.q + self.scatter.size]) if trial.has_force_zero else 0.0
         height_zero = float(values[-1]) if trial.has_height_zero else 0.0
         return values[: self.q], force_zero, height_zero
 
@@ -331,9 +344,14 @@ class Problem:
         self, state: FloatArray, index: int, trial: FitTrial | None = None, *, directions: bool
     ) -> Prediction:
         """Return what the model says of a trial, or of another form of it."""
+        theta = state[: self.p]
+        if self.scatter.size:
+            first = self.places[index].start + self.q
+            theta = theta.copy()
+            theta[: self.scatter.size] += state[first : first + self.scatter.size]
         return self.model.predict(
             self.trials[index] if trial is None else trial,
-            state[: self.p],
+            theta,
             self.own(state, index)[0],
             directions=directions,
         )
@@ -358,6 +376,10 @@ class Problem:
         height = np.zeros((rows, trial.height_t.size))
         force[:given] = prediction.d_force
         height[:given] = prediction.d_height
+        for k in range(self.scatter.size):
+            force[given + k] = prediction.d_force[k]
+            height[given + k] = prediction.d_height[k]
+        given += self.scatter.size
         if trial.has_force_zero:
             force[given] = 1.0
         if trial.has_height_zero:
@@ -372,7 +394,7 @@ class Problem:
 
         Each trial is reduced to its triangular factor, with the same squares and products.
         """
-        residuals, blocks, p = [], [], self.p
+        residuals, blocks, p, scatter = [], [], self.p, self.scatter.size
         for index, weights in enumerate(self._weights):
             force, height = self.records(state, index)
             rows = weights.force(force)
@@ -381,15 +403,15 @@ class Problem:
             if not np.isfinite(rows).all():
                 return np.array([math.inf]), np.zeros((1, self.size))
             factor = np.linalg.qr(rows.T, mode='r')
-            block = np.zeros((factor.shape[0] + 1, self.size))
-            place = self.places[index]
-            block[:-1, :p] = factor[:, :p]
-            block[:-1, place] = factor[:, p:-1]
-            # The prior of the onset.
-            block[-1, place.start] = 1.0 / self.trials[index].onset_std
-            residuals.append(
-                np.append(factor[:, -1], state[place.start] / self.trials[index].onset_std)
-            )
+            place, rank = self.places[index], factor.shape[0]
+            # What is known beforehand: the onset is near the detected contact, trials are alike.
+            known = [place.start, *range(place.start + self.q, place.start + self.q + scatter)]
+            weight = np.append(1.0 / self.trials[index].onset_std, 1.0 / self.scatter)
+            block = np.zeros((rank + len(known), self.size))
+            block[:rank, :p] = factor[:, :p]
+            block[:rank, place] = factor[:, p:-1]
+            block[np.arange(rank, block.shape[0]), known] = weight
+            residuals.append(np.append(factor[:, -1], state[known] * weight))
             blocks.append(block)
         return np.concatenate(residuals), np.vstack(blocks)
 
@@ -412,6 +434,43 @@ class Problem:
             _jumps(self.predict(state, i, directions=False).force, trial)
             for i, trial in enumerate(self.trials)
         )
+
+
+def places_of(model: Model, effects: Sequence[str]) -> list[int]:
+    """Return where the parameters of some effects stand in theta."""
+    places: list[int] = []
+    place = len(BASE_PARAMETERS)
+    for name in model.effects:
+        count = len(BY_NAME[name].parameters)
+        if name in effects:
+            places += range(place, place + count)
+        place += count
+    return places
+
+
+def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
+    """
+    Return the state of one problem in another, with neutral values for what it lacks.
+
+    Trials are known by their names; one that is new starts with nothing of its own.
+    """
+    result = np.zeros(new.size)
+    values = np.array([0.0 if math.isnan(p.neutral) else p.neutral for p in new.model.parameters])
+    base = len(BASE_PARAMETERS)
+    old_values = old.model.values(state[: old.p])
+    values[:base] = old_values[:base]
+    for name in new.model.effects:
+        if name in old.model.effects:
+            values[places_of(new.model, [name])] = old_values[places_of(old.model, [name])]
+    result[: new.p] = np.clip(new.model.theta(values), *new.model.bounds)
+    known = {trial.name: index for index, trial in enumerate(old.trials)}
+    for trial, place in zip(new.trials, new.places, strict=True):
+        index = known.get(trial.name)
+        if index is None:
+            continue
+        own = dict(zip(old.own_names(old.trials[index]), state[old.places[index]], strict=True))
+        result[place] = [own.get(name, 0.0) for name in new.own_names(trial)]
+    return result
 
 
 def force_blocks(trial: FitTrial, extra: FloatArray | None = None) -> Blocks:
@@ -482,6 +541,8 @@ def fit_prepared(
     model: Model,
     *,
     start: Mapping[str, float] | None = None,
+    near: Fit | None = None,
+    scatter: FloatArray | None = None,
     warnings: Sequence[str] = (),
 ) -> Fit:
     """
@@ -495,6 +556,11 @@ def fit_prepared(
         What to fit.
     start : mapping of str to float, optional
         Where to start.
+    near : Fit, optional
+        A fit to other trials of the same object, or of another model, to start from instead of
+        looking for a start.
+    scatter : ndarray, shape (3,), optional
+        Standard deviations of the logarithms of K1, C1 and C2 from trial to trial.
     warnings : sequence of str
         What is known already of the trials.
 
@@ -518,12 +584,20 @@ def fit_prepared(
             raise UsageError(
                 f'the model has no parameter {name!r}: choose among {", ".join(model.names)}'
             )
-    force_noise, height_noise = _first_noise(usable)
-    problem, state = _search(usable, model, start, force_noise, height_noise)
+    if near is None:
+        force_noise, height_noise = _first_noise(usable)
+        problem, state = _search(usable, model, start, force_noise, height_noise)
+    else:
+        force_noise, height_noise = near.noise.force, near.noise.height
+        problem = Problem(model, usable)
+        state = carried(near.problem, near.state, problem)
+    if scatter is not None:
+        alike, problem = problem, Problem(model, usable, scatter)
+        state = carried(alike, state, problem)
     for turn in range(_ROUNDS):
         jumps = problem.jumps(state)
         forces, heights = problem.noise_records(state, jumps)
-        before, first = force_noise, turn == 0
+        before, first = force_noise, turn == 0 and near is None
         force_noise = estimate(forces, force_noise, usable[0].interval, everywhere=first)
         if heights:
             height_noise = estimate(
@@ -534,7 +608,7 @@ def fit_prepared(
         state = solution.theta
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
-            problem = Problem(model, cleaned)
+            problem = Problem(model, cleaned, scatter)
             continue
         if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0:
             break
@@ -596,7 +670,7 @@ def _search(
         state = np.zeros(problem.size)
         state[:3] = base.theta(list(each.values()))
         for _ in range(2):
-            _find_onsets(problem, state)
+            find_onsets(problem, state)
             # Where the force jumps depends on the onsets.
             problem.set_noise(force_noise, height_noise, problem.jumps(state))
             state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
@@ -609,7 +683,7 @@ def _search(
     if not model.effects:
         return problem, state
     K1, C1, C2 = base.values(state[:3])
-    scale = _scale(problem, state, K1, C1, C2)
+    scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
     whole.set_noise(force_noise, height_noise, problem.jumps(state))
     guess = model.values(model.first_guess(scale))
@@ -628,7 +702,7 @@ def _search(
             begin[new.stop - 1 - zeros] = state[old.stop - 1 - zeros]
         if tried and not guess[3:].any():
             break
-        _turn_phases(whole, begin)
+        turn_phases(whole, begin)
         with contextlib.suppress(ValueError):
             tried.append(
                 minimise(
@@ -643,12 +717,12 @@ def _search(
     )
     # What the model lacked has moved the onsets.
     again = best.theta.copy()
-    _find_onsets(whole, again)
+    find_onsets(whole, again)
     moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
     return whole, min((best, moved), key=lambda found: found.cost).theta
 
 
-def _find_onsets(problem: Problem, state: FloatArray) -> None:
+def find_onsets(problem: Problem, state: FloatArray) -> None:
     """
     Set the onsets to where the first force of each trial is followed best.
 
@@ -676,7 +750,7 @@ def _find_onsets(problem: Problem, state: FloatArray) -> None:
             reach /= 3.0
 
 
-def _turn_phases(problem: Problem, state: FloatArray) -> None:
+def turn_phases(problem: Problem, state: FloatArray) -> None:
     """Start the trials' own parameters that have no neutral value where they fit best."""
     for k, parameter in enumerate(problem.model.trial_parameters):
         if not math.isnan(parameter.neutral):
@@ -692,7 +766,7 @@ def _turn_phases(problem: Problem, state: FloatArray) -> None:
             state[place] = tried[int(np.argmin(costs))]
 
 
-def _scale(problem: Problem, state: FloatArray, K1: float, C1: float, C2: float) -> Scale:
+def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: float) -> Scale:
     """Return what the campaign looks like."""
     trials = problem.trials
     speeds, contacts = [], []
@@ -920,11 +994,7 @@ def _trial_fit(
     t = 0.5 * (full.t[1:] + full.t[:-1])
     place = problem.places[index]
     std = np.sqrt(np.diag(covariance)[place])
-    names = [
-        *problem.model.trial_names,
-        *(['force_zero'] if trial.has_force_zero else []),
-        *(['height_zero'] if trial.has_height_zero else []),
-    ]
+    names = problem.own_names(trial)
     values = {
         name: Estimate(float(value), float(error))
         if math.isfinite(error)
