@@ -40,10 +40,12 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Channel, HeldOutChange, Misfit, Misfits, Phase
 from hapticvision_ros.core.fit.campaign import (
     CampaignNoise,
+    find_onsets,
     Fit,
     Problem,
     Segmented,
     TrialFit,
+    turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial, prepare, suspects
 from hapticvision_ros.core.fit.least_squares import minimise
@@ -58,10 +60,6 @@ CHANNELS: Final[tuple[Channel, ...]] = ('force', 'height')
 _ALIKE: Final = 0.1
 """Pushes whose speeds and depths differ by no more than this share are one condition."""
 _TOLERANCE: Final = 1e-7
-_ONSET_REACH: Final = 4.0
-"""The onset is looked for in this many errors of the detection."""
-_ONSETS: Final = 17
-_PHASES_TRIED: Final = 8
 _BASELINE: Final = 32
 """Samples before contact, in all trials together, from which on they tell the noise."""
 _FEWEST: Final = 8
@@ -93,6 +91,8 @@ class Trained:
         Deepest push of the trials [m], to which some effects refer.
     start_ns : int
         When the campaign began [ns since the epoch], from where an effect may count its time.
+    scatter : ndarray, shape (3,) or (0,)
+        Standard deviations of the logarithms of K1, C1 and C2 from trial to trial.
 
     """
 
@@ -101,6 +101,7 @@ class Trained:
     noise: CampaignNoise
     reference_depth: float
     start_ns: int
+    scatter: FloatArray
 
     @classmethod
     def of(cls, fit: Fit, campaign: Sequence[Segmented]) -> 'Trained':
@@ -111,7 +112,12 @@ class Trained:
             fit.noise,
             fit.problem.trials[0].reference_depth,
             min(trial.start_ns for trial, _ in pairs_of(campaign)),
+            fit.problem.scatter,
         )
+
+    def problem(self, trials: Sequence[FitTrial]) -> Problem:
+        """Return the problem of the trials' own values."""
+        return Problem(self.model, trials, self.scatter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,7 +404,8 @@ def predict_unseen(
 
     """
     pairs = pairs_of(unseen)
-    fast = any(parameter.symbol == 'phase' for parameter in trained.model.trial_parameters)
+    # What has a phase is faster than the steps of a trial.
+    fast = any(math.isnan(own.neutral) for own in trained.model.trial_parameters)
     prepared, warnings = prepare(pairs, windows=fast)
     first = min((trial.start_ns for trial, _ in pairs), default=0)
     later = (first - trained.start_ns) * 1e-9
@@ -437,37 +444,24 @@ def _predict_one(
     trained: Trained, one: FitTrial, trial: Trial, noise: CampaignNoise
 ) -> tuple[TrialFit, float]:
     """Return a trial beside the prediction, and its whitened squares."""
-    model = trained.model
-    problem = Problem(model, [one])
+    problem = trained.problem([one])
     p = problem.p
 
     def evaluate(own: FloatArray) -> tuple[FloatArray, FloatArray]:
         residual, jacobian = problem.evaluate(np.concatenate((trained.theta, own)))
         return residual, jacobian[:, p:]
 
-    def cost(own: FloatArray) -> float:
-        residual, _ = evaluate(own)
-        return float(residual @ residual)
-
     state = np.concatenate((trained.theta, np.zeros(problem.size - p)))
     bounds = (problem.bounds[0][p:], problem.bounds[1][p:])
-    own = state[p:]
-    problem.set_noise(noise.force, noise.height)
-    # The force jumps at the touch, so that the squares have several valleys in the onset.
-    _scan(cost, own, 0, np.linspace(-_ONSET_REACH, _ONSET_REACH, _ONSETS) * one.onset_std)
-    for index, parameter in enumerate(model.trial_parameters):
-        if math.isnan(parameter.neutral):
-            turns = np.linspace(-math.pi, math.pi, _PHASES_TRIED, endpoint=False)
-            _scan(cost, own, index, turns)
+    find_onsets(problem, state)
+    turn_phases(problem, state)
     for _ in range(2):
-        problem.set_noise(
-            noise.force, noise.height, problem.jumps(np.concatenate((trained.theta, own)))
-        )
-        solution = minimise(evaluate, own, bounds, tolerance=_TOLERANCE)
-        own = solution.theta
-    state = np.concatenate((trained.theta, own))
+        # Where the force jumps depends on the onset.
+        problem.set_noise(noise.force, noise.height, problem.jumps(state))
+        solution = minimise(evaluate, state[p:], bounds, tolerance=_TOLERANCE)
+        state[p:] = solution.theta
     full = _every_height(one.at_full_rate(), trial)
-    whole = Problem(model, [full])
+    whole = trained.problem([full])
     predicted = whole.predict(state, 0, directions=False)
     _, force_zero, height_zero = problem.own(state, 0)
     good = full.samples.good & (whole.jumps(state)[0] <= noise.force.std**2)
@@ -481,25 +475,14 @@ def _predict_one(
         height_fitted=predicted.height,
         values=MappingProxyType(
             {
-                name.removesuffix(f' of {one.name}'): Estimate(float(value), float(error))
+                name: Estimate(float(value), float(error))
                 if math.isfinite(error)
                 else Estimate.unknown('nothing in this trial depends on it')
-                for name, value, error in zip(problem.names[p:], own, std, strict=True)
+                for name, value, error in zip(problem.own_names(one), state[p:], std, strict=True)
             }
         ),
         set_aside=one.set_aside,
     ), solution.cost
-
-
-def _scan(
-    cost: Callable[[FloatArray], float], own: FloatArray, index: int, tried: FloatArray
-) -> None:
-    """Set one of a trial's own values to the best of those tried."""
-    costs = []
-    for value in tried:
-        own[index] = value
-        costs.append(cost(own))
-    own[index] = tried[int(np.argmin(costs))]
 
 
 def _every_height(full: FitTrial, trial: Trial) -> FitTrial:
@@ -589,7 +572,7 @@ def refit_without(
     if not kept:
         return None
     whole = fit.problem
-    problem = Problem(fit.model, [whole.trials[place] for place in kept])
+    problem = Problem(fit.model, [whole.trials[place] for place in kept], whole.scatter)
     state = np.concatenate([fit.theta, *(fit.state[whole.places[place]] for place in kept)])
     problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
     solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
