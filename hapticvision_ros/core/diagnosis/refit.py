@@ -23,6 +23,7 @@ its own residual most likely, so that a model is not preferred for what the nois
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass
+import math
 from typing import Final
 
 from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
@@ -140,21 +141,9 @@ class Workbench:
             The best that was found; None where the model cannot be evaluated.
 
         """
-        problem = Problem(model, self.trials, self.scatter)
-        problem.set_noise(near.force_noise, near.height_noise, self.jumps)
-        begin = carried(near.problem, near.state, problem)
-        states = [begin]
-        added = [name for name in model.effects if name not in near.model.effects]
-        if added:
-            states = self._starts(problem, begin, near, added)
-        promised = []
-        for state in states:
-            residual, jacobian = problem.evaluate(state)
-            if np.isfinite(residual).all():
-                promised.append((_promise(residual, jacobian), state))
+        problem, promised = self._look(model, near)
         if not promised:
             return None
-        promised.sort(key=lambda each: each[0])
         ends = []
         for _, state in promised[:2]:
             with contextlib.suppress(ValueError):
@@ -169,6 +158,44 @@ class Workbench:
                 )
         best = min(ends, key=lambda end: end.cost)
         return self._settled(problem, best.theta, near.force_noise, near.height_noise)
+
+    def promise(self, model: Model, near: Refit) -> float:
+        """
+        Return by how much one step of the search promises to lower the squares of a refit.
+
+        Parameters
+        ----------
+        model : Model
+            A model with more effects.
+        near : Refit
+            The refit without them.
+
+        Returns
+        -------
+        float
+            The best promise from any of the starts, at the noise of `near`; minus infinity where
+            the model cannot be evaluated.
+
+        """
+        _, promised = self._look(model, near)
+        return near.cost - promised[0][0] if promised else -math.inf
+
+    def _look(self, model: Model, near: Refit) -> tuple[Problem, list[tuple[float, FloatArray]]]:
+        """Return the problem of a model, and starts with the squares they promise, best first."""
+        problem = Problem(model, self.trials, self.scatter)
+        problem.set_noise(near.force_noise, near.height_noise, self.jumps)
+        begin = carried(near.problem, near.state, problem)
+        states = [begin]
+        added = [name for name in model.effects if name not in near.model.effects]
+        if added:
+            states = self._starts(problem, begin, near, added)
+        promised = []
+        for state in states:
+            residual, jacobian = problem.evaluate(state)
+            if np.isfinite(residual).all():
+                promised.append((_promise(residual, jacobian), state))
+        promised.sort(key=lambda each: each[0])
+        return problem, promised
 
     def with_onsets(self, found: Refit) -> Refit:
         """Return a refit whose onsets were looked for anew, if that is better."""

@@ -394,26 +394,50 @@ class Problem:
 
         Each trial is reduced to its triangular factor, with the same squares and products.
         """
-        residuals, blocks, p, scatter = [], [], self.p, self.scatter.size
-        for index, weights in enumerate(self._weights):
-            force, height = self.records(state, index)
-            rows = weights.force(force)
-            if weights.height is not None:
-                rows = np.hstack((rows, weights.height(height)))
-            if not np.isfinite(rows).all():
+        residuals, blocks, p = [], [], self.p
+        for index, place in enumerate(self.places):
+            residual, jacobian = self._reduced(state, index)
+            if not np.isfinite(residual).all():
                 return np.array([math.inf]), np.zeros((1, self.size))
-            factor = np.linalg.qr(rows.T, mode='r')
-            place, rank = self.places[index], factor.shape[0]
-            # What is known beforehand: the onset is near the detected contact, trials are alike.
-            known = [place.start, *range(place.start + self.q, place.start + self.q + scatter)]
-            weight = np.append(1.0 / self.trials[index].onset_std, 1.0 / self.scatter)
-            block = np.zeros((rank + len(known), self.size))
-            block[:rank, :p] = factor[:, :p]
-            block[:rank, place] = factor[:, p:-1]
-            block[np.arange(rank, block.shape[0]), known] = weight
-            residuals.append(np.append(factor[:, -1], state[known] * weight))
+            block = np.zeros((residual.size, self.size))
+            block[:, :p] = jacobian[:, :p]
+            block[:, place] = jacobian[:, p:]
+            residuals.append(residual)
             blocks.append(block)
         return np.concatenate(residuals), np.vstack(blocks)
+
+    def evaluate_trial(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+        """
+        Return one trial's whitened residual and its derivatives in the trial's own parameters.
+
+        Returns
+        -------
+        residual, jacobian : ndarray, shapes (k,), (k, own)
+            Reduced to the triangular factor, with what is known of the parameters beforehand.
+
+        """
+        residual, jacobian = self._reduced(state, index)
+        if not np.isfinite(residual).all():
+            return np.array([math.inf]), np.zeros((1, jacobian.shape[1] - self.p))
+        return residual, jacobian[:, self.p :]
+
+    def _reduced(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+        """Return residual and derivatives in the shared and the trial's own parameters."""
+        trial, weights, place = self.trials[index], self._weights[index], self.places[index]
+        force, height = self.records(state, index)
+        rows = weights.force(force)
+        if weights.height is not None:
+            rows = np.hstack((rows, weights.height(height)))
+        if not np.isfinite(rows).all():
+            return np.array([math.inf]), np.zeros((1, rows.shape[0] - 1))
+        factor = np.linalg.qr(rows.T, mode='r')
+        # What is known beforehand: the onset is near the detected contact, trials are alike.
+        known = np.array([0, *range(self.q, self.q + self.scatter.size)])
+        weight = np.append(1.0 / trial.onset_std, 1.0 / self.scatter)
+        prior = np.zeros((known.size, factor.shape[1] - 1))
+        prior[np.arange(known.size), self.p + known] = weight
+        residual = np.append(factor[:, -1], state[place][known] * weight)
+        return residual, np.vstack((factor[:, :-1], prior))
 
     def noise_records(
         self, state: FloatArray, jumps: Sequence[FloatArray]
