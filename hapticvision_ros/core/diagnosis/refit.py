@@ -41,7 +41,14 @@ from hapticvision_ros.core.fit.campaign import (
 )
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.fit.noise_model import Blocks, estimate, Record, SensorNoise
+from hapticvision_ros.core.fit.noise_model import (
+    Blocks,
+    estimate,
+    Record,
+    SensorNoise,
+    Whitener,
+    whitener,
+)
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -87,6 +94,44 @@ class Refit:
     def theta(self) -> FloatArray:
         """Return the shared parameters as the search sees them."""
         return self.state[: self.problem.p]
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """
+    Some k curves over a trial, in the form of the fit.
+
+    Parameters
+    ----------
+    force, height : ndarray, shapes (k, n), (k, m)
+        Their values in each step of the force [N] and at each height [m].
+
+    """
+
+    force: FloatArray
+    height: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Smooth:
+    """
+    What curves take out of the residual of a model.
+
+    Parameters
+    ----------
+    gain : float
+        By how much they lower the deviance.
+    count : int
+        How many of them the data can tell.
+    force, height : tuple of ndarray
+        Their sum in each trial, shapes (n,), (m,): to be added to what the model predicts.
+
+    """
+
+    gain: float
+    count: int
+    force: tuple[FloatArray, ...]
+    height: tuple[FloatArray, ...]
 
 
 class Workbench:
@@ -204,6 +249,138 @@ class Workbench:
         again = self._settled(found.problem, state, found.force_noise, found.height_noise)
         return min((found, again), key=lambda each: each.deviance)
 
+    def residual(
+        self, problem: Problem, state: FloatArray, index: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return measured minus predicted force and height of a trial, block by block."""
+        trial = self.trials[index]
+        prediction = problem.predict(state, index, directions=False)
+        _, force_zero, height_zero = problem.own(state, index)
+        return (
+            trial.force - prediction.force - force_zero,
+            trial.height - prediction.height - height_zero,
+        )
+
+    def smooth(self, found: Refit, columns: Sequence[Columns], *, again: bool) -> Smooth:
+        """
+        Let curves take what they can out of the residual of a model, which may move as well.
+
+        Parameters
+        ----------
+        found : Refit
+            The model; what it can make up for itself is no gain.
+        columns : sequence of Columns
+            The curves in each trial.
+        again : bool
+            Whether the noise is estimated anew without what they take out.
+
+        Returns
+        -------
+        Smooth
+            What they take out, and what it is worth.
+
+        """
+        problem = found.problem
+        rows = [problem.records(found.state, index) for index in range(len(self.trials))]
+        force_noise, height_noise = found.force_noise, found.height_noise
+        deviance = found.deviance
+        left: list[tuple[FloatArray, FloatArray]] = []
+        for turn in range(3 if again else 1):
+            if turn:
+                force_noise, height_noise = self._most_likely(left, force_noise, height_noise)
+            whiteners = self._whiteners(force_noise, height_noise)
+            solution, squares, determinant, count = self._linear(
+                problem, found.state, rows, columns, whiteners
+            )
+            left = self._left(problem, rows, columns, solution)
+        curves = solution[problem.size :]
+        return Smooth(
+            gain=deviance - squares - determinant,
+            count=count,
+            force=tuple(curves @ each.force for each in columns),
+            height=tuple(curves @ each.height for each in columns),
+        )
+
+    def _whiteners(
+        self, force: SensorNoise, height: SensorNoise
+    ) -> list[tuple[Whitener, Whitener | None]]:
+        """Return what makes the noise of each trial white."""
+        return [
+            (
+                whitener(force_blocks(trial, self.jumps[index]), force),
+                whitener(height_blocks(trial), height) if trial.height_t.size else None,
+            )
+            for index, trial in enumerate(self.trials)
+        ]
+
+    def _linear(
+        self,
+        problem: Problem,
+        state: FloatArray,
+        rows: Sequence[tuple[FloatArray, FloatArray]],
+        columns: Sequence[Columns],
+        whiteners: Sequence[tuple[Whitener, Whitener | None]],
+    ) -> tuple[FloatArray, float, float, int]:
+        """
+        Return the best linear change, the squares it leaves, the determinant, and a count.
+
+        The change is that of all parameters, then the sizes of the curves; the count is of those
+        curves that the data can tell.
+        """
+        k = columns[0].force.shape[0]
+        blocks, targets, determinant = [], [], 0.0
+        for index, (force, height) in enumerate(rows):
+            force_filter, height_filter = whiteners[index]
+            whole = force_filter(np.vstack((columns[index].force, force)))
+            determinant += force_filter.log_determinant
+            if height_filter is not None:
+                other = height_filter(np.vstack((columns[index].height, height)))
+                whole = np.hstack((whole, other))
+                determinant += height_filter.log_determinant
+            factor = np.linalg.qr(whole.T, mode='r')
+            block = np.zeros((factor.shape[0], problem.size + k))
+            block[:, problem.size :] = factor[:, :k]
+            block[:, : problem.p] = factor[:, k : k + problem.p]
+            block[:, problem.places[index]] = factor[:, k + problem.p : -1]
+            blocks.append(block)
+            targets.append(factor[:, -1])
+        prior, aim = problem.priors(state)
+        blocks.append(np.hstack((prior, np.zeros((prior.shape[0], k)))))
+        targets.append(aim)
+        matrix, target = np.vstack(blocks), np.concatenate(targets)
+        scale = np.sqrt(np.sum(matrix**2, axis=0))
+        told = scale > 0.0
+        scaled = matrix[:, told] / scale[told]
+        left, singular, right = np.linalg.svd(scaled, full_matrices=False)
+        steep = singular > 1e-8 * singular[0]
+        projected = left[:, steep].T @ target
+        change = np.zeros(matrix.shape[1])
+        change[told] = -(right[steep].T @ (projected / singular[steep])) / scale[told]
+        squares = float(target @ target - projected @ projected)
+        plain = np.linalg.svd(scaled[:, : int(told[: problem.size].sum())], compute_uv=False)
+        count = int(steep.sum() - np.count_nonzero(plain > 1e-8 * plain[0]))
+        return change, squares, determinant, count
+
+    def _left(
+        self,
+        problem: Problem,
+        rows: Sequence[tuple[FloatArray, FloatArray]],
+        columns: Sequence[Columns],
+        change: FloatArray,
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return what a linear change leaves of the residuals."""
+        left = []
+        curves = change[problem.size :]
+        for index, (force, height) in enumerate(rows):
+            own = np.concatenate((change[: problem.p], change[problem.places[index]], [1.0]))
+            left.append(
+                (
+                    own @ force + curves @ columns[index].force,
+                    own @ height + curves @ columns[index].height,
+                )
+            )
+        return left
+
     def _starts(
         self, problem: Problem, begin: FloatArray, near: Refit, added: Sequence[str]
     ) -> list[FloatArray]:
@@ -264,15 +441,21 @@ class Workbench:
         self, problem: Problem, state: FloatArray, force: SensorNoise, height: SensorNoise
     ) -> tuple[SensorNoise, SensorNoise]:
         """Return the noise that makes the residual most likely, near a first guess."""
+        left = [self.residual(problem, state, index) for index in range(len(self.trials))]
+        return self._most_likely(left, force, height)
+
+    def _most_likely(
+        self,
+        left: Sequence[tuple[FloatArray, FloatArray]],
+        force: SensorNoise,
+        height: SensorNoise,
+    ) -> tuple[SensorNoise, SensorNoise]:
+        """Return the noise that makes residuals of force and height most likely."""
         forces, heights = [], []
         for index, trial in enumerate(self.trials):
-            prediction = problem.predict(state, index, directions=False)
-            _, force_zero, height_zero = problem.own(state, index)
-            residual = prediction.force + force_zero - trial.force
-            forces.append(_bare(force_blocks(trial, self.jumps[index]), residual))
+            forces.append(_bare(force_blocks(trial, self.jumps[index]), left[index][0]))
             if trial.height_t.size:
-                residual = prediction.height + height_zero - trial.height
-                heights.append(_bare(height_blocks(trial), residual))
+                heights.append(_bare(height_blocks(trial), left[index][1]))
         force = estimate(forces, force, self.trials[0].interval, everywhere=False)
         if heights:
             interval = self.trials[0].height_interval

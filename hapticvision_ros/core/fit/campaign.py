@@ -431,13 +431,28 @@ class Problem:
         if not np.isfinite(rows).all():
             return np.array([math.inf]), np.zeros((1, rows.shape[0] - 1))
         factor = np.linalg.qr(rows.T, mode='r')
-        # What is known beforehand: the onset is near the detected contact, trials are alike.
-        known = np.array([0, *range(self.q, self.q + self.scatter.size)])
-        weight = np.append(1.0 / trial.onset_std, 1.0 / self.scatter)
+        known, weight = self._known(trial)
         prior = np.zeros((known.size, factor.shape[1] - 1))
         prior[np.arange(known.size), self.p + known] = weight
         residual = np.append(factor[:, -1], state[place][known] * weight)
         return residual, np.vstack((factor[:, :-1], prior))
+
+    def _known(self, trial: FitTrial) -> tuple[NDArray[np.intp], FloatArray]:
+        """Return which own parameters are known beforehand to be near zero, and how well."""
+        # The onset is near the detected contact, and trials are alike.
+        known = np.array([0, *range(self.q, self.q + self.scatter.size)], dtype=np.intp)
+        return known, np.append(1.0 / trial.onset_std, 1.0 / self.scatter)
+
+    def priors(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is known beforehand, as rows of a Jacobian (k, size), residuals (k,)."""
+        rows, residuals = [], []
+        for trial, place in zip(self.trials, self.places, strict=True):
+            known, weight = self._known(trial)
+            block = np.zeros((known.size, self.size))
+            block[np.arange(known.size), place.start + known] = weight
+            rows.append(block)
+            residuals.append(state[place][known] * weight)
+        return np.vstack(rows), np.concatenate(residuals)
 
     def noise_records(
         self, state: FloatArray, jumps: Sequence[FloatArray]

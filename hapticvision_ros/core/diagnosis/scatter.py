@@ -1,0 +1,218 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+How much the trials of a campaign differ among themselves, from repeats of the same push.
+
+Repeats of a push are missed by a model in the same way, whatever it lacks; what differs between
+them is scatter of the object or of the cell. Each trial is fitted with its own K1, C1 and C2, and
+the differences between repeats, beyond what the sensors' noise makes of them, tell the scatter.
+A steady change over the campaign (drying) is no scatter: it is taken out where it shows.
+
+References
+----------
+S. R. Searle, G. Casella and C. E. McCulloch, Variance Components, 1992, ch. 3 (between and within
+groups).
+
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import Final
+
+from hapticvision_ros.core.diagnosis.refit import Refit
+from hapticvision_ros.core.fit.campaign import carried, Problem
+from hapticvision_ros.core.fit.least_squares import covariance, minimise
+from hapticvision_ros.core.records import FloatArray, Segmentation
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+_WIDE: Final = 0.5
+"""Scatter of the logarithms that is allowed when it is measured."""
+_SAME: Final = 0.06
+"""Relative difference of speed, depth and hold within which two pushes are the same."""
+_SAME_HOLD: Final = 0.2
+_POOLED: Final = 3.0
+"""Degrees of freedom that the mean over the three elements counts for in each."""
+_TREND: Final = 0.01
+"""Probability below which a change over the campaign is no chance."""
+_CAUTION: Final = 0.25
+"""The scatter is taken as large as it is with this probability of being larger still."""
+LEAST: Final = 5e-4
+"""Scatter below this is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """
+    What repeats tell of the scatter from trial to trial.
+
+    Parameters
+    ----------
+    std : ndarray, shape (3,)
+        Standard deviations of the logarithms of K1, C1 and C2; zeros where none shows.
+    cautious : ndarray, shape (3,)
+        The same, enlarged for how few repeats there are.
+    degrees : int
+        Differences between repeats of the same push.
+
+    """
+
+    std: FloatArray
+    cautious: FloatArray
+    degrees: int
+
+
+def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
+    """
+    Return the trials of each push: same speed, depth and hold.
+
+    Parameters
+    ----------
+    phases : sequence of Segmentation
+        Of the trials.
+
+    Returns
+    -------
+    list of list of int
+        Indices of the trials, grouped; in the order of their first.
+
+    """
+    groups: list[list[int]] = []
+    for index, one in enumerate(phases):
+        for group in groups:
+            if _alike(phases[group[0]], one):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    return groups
+
+
+def _alike(one: Segmentation, other: Segmentation) -> bool:
+    pairs = [
+        (one.push_speed, other.push_speed, _SAME),
+        (one.depth, other.depth, _SAME),
+        (_hold(one), _hold(other), _SAME_HOLD),
+    ]
+    for a, b, reach in pairs:
+        if (a is None) != (b is None):
+            return False
+        if a is not None and b is not None and abs(a - b) > reach * max(abs(a), abs(b)):
+            return False
+    return True
+
+
+def _hold(phases: Segmentation) -> float | None:
+    """Return how long a trial holds [s]."""
+    if phases.t_hold is None or phases.t_release is None:
+        return None
+    return phases.t_release - phases.t_hold
+
+
+def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
+    """
+    Return the scatter that repeats show.
+
+    Parameters
+    ----------
+    found : Refit
+        A model without scatter, fitted to the campaign.
+    groups : sequence of sequence of int
+        From `conditions`, for the trials of the refit.
+
+    Returns
+    -------
+    Scatter or None
+        None without repeats.
+
+    """
+    repeated = [list(group) for group in groups if len(group) > 1]
+    if not repeated:
+        return None
+    shifts, variances = _shifts(found)
+    times = np.array([trial.campaign_time for trial in found.problem.trials])
+    shifts = _without_trend(shifts, variances, times, repeated)
+    degrees = sum(len(group) - 1 for group in repeated)
+    squares = np.zeros(3)
+    for group in repeated:
+        away = shifts[group] - shifts[group].mean(axis=0)
+        # Noise alone makes this much of it.
+        share = 1.0 - 1.0 / len(group)
+        squares += np.sum(away**2, axis=0) - share * np.sum(variances[group], axis=0)
+    squares = np.maximum(squares, 0.0)
+    pooled = float(squares.sum()) / (3 * degrees)
+    variance = (_POOLED * pooled + squares) / (_POOLED + degrees)
+    enlarged = (_POOLED + degrees) / float(chi2.ppf(_CAUTION, _POOLED + degrees))
+    std = np.sqrt(variance)
+    if std.max() < LEAST:
+        return Scatter(np.zeros(3), np.zeros(3), degrees)
+    std = np.maximum(std, LEAST)
+    return Scatter(std, std * math.sqrt(enlarged), degrees)
+
+
+def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
+    """Return each trial's own logarithms of K1, C1, C2 beside the shared, and their variances."""
+    old = found.problem
+    problem = Problem(old.model, old.trials, np.full(3, _WIDE))
+    problem.set_noise(found.force_noise, found.height_noise, problem.jumps(_start(found, problem)))
+    state = _start(found, problem)
+    shifts, variances = np.zeros((len(old.trials), 3)), np.zeros((len(old.trials), 3))
+    for index, place in enumerate(problem.places):
+
+        def one(
+            own: FloatArray, index: int = index, place: slice = place
+        ) -> tuple[FloatArray, FloatArray]:
+            whole = state.copy()
+            whole[place] = own
+            return problem.evaluate_trial(whole, index)
+
+        bounds = (problem.bounds[0][place], problem.bounds[1][place])
+        solution = minimise(one, state[place], bounds, tolerance=1e-6, max_evaluations=20)
+        chosen = slice(problem.q, problem.q + 3)
+        # The misfit of the trial stands in for its noise.
+        shifts[index] = solution.theta[chosen]
+        variances[index] = np.diag(covariance(solution.jacobian))[chosen]
+    return shifts, variances
+
+
+def _start(found: Refit, problem: Problem) -> FloatArray:
+    return carried(found.problem, found.state, problem)
+
+
+def _without_trend(
+    shifts: FloatArray, variances: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
+) -> FloatArray:
+    """Return the shifts without a common change over the campaign, where it is no chance."""
+    chosen = np.concatenate([np.array(group) for group in groups])
+    away = np.concatenate([shifts[group] - shifts[group].mean(axis=0) for group in groups])
+    late = np.concatenate([times[group] - times[group].mean() for group in groups])
+    spread = float(late @ late)
+    free = away.shape[0] - len(groups) - 1
+    if spread == 0.0 or free < 1:
+        return shifts
+    weights = 1.0 / np.maximum(variances[chosen].mean(axis=0), 1e-300)
+    weights = 1.0 / (1.0 / weights + away.var(axis=0) + 1e-300)
+    weights /= weights.sum()
+    common = away @ weights
+    slope = float(common @ late) / spread
+    rest = common - slope * late
+    explained = slope**2 * spread
+    ratio = explained / max(float(rest @ rest) / free, 1e-300)
+    if float(f_distribution.sf(ratio, 1, free)) > _TREND:
+        return shifts
+    return shifts - (slope * (times - times.mean()))[:, np.newaxis]

@@ -1,0 +1,283 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Which effects a campaign asks for: forward selection by refits, then elimination.
+
+Every candidate is looked at by what one step of the search promises; those that promise something
+are refitted, each with its own noise, and compared by Schwarz's criterion. A candidate is accepted
+when it gains clearly, and changes the prediction by more than a small part of the noise.
+
+References
+----------
+G. Schwarz, Ann. Stat. 6, 1978, 461-464, doi:10.1214/aos/1176344136; R. E. Kass and A. E. Raftery,
+J. Am. Stat. Assoc. 90, 1995, 773-795, doi:10.1080/01621459.1995.10476572 (a difference of ten is
+very strong evidence, one of six strong).
+
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+import math
+from typing import Final
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+GATE: Final = 6.0
+"""Gain in Schwarz's criterion from which on an effect is there."""
+LEAD: Final = 10.0
+"""Lead in it by which one effect is told from another."""
+WEAKEST: Final = 0.04
+"""Root mean square change of the prediction over the noise below which an effect is of no use."""
+_SECONDARY: Final = 0.1
+"""A further effect is at least this share of the strongest: below it, forms are not exact."""
+_MOST: Final = 4
+"""Effects that are added at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trialled:
+    """
+    A candidate beside a model without it.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    score : float
+        What it lowers the deviance by.
+    gain : float
+        What it gains by Schwarz's criterion.
+    strength : float
+        Root mean square change of the prediction over the noise.
+    refit : Refit or None
+        The model with it; None where the promise was too small to look further.
+
+    """
+
+    effect: str
+    score: float
+    gain: float
+    strength: float
+    refit: Refit | None
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """
+    One step of the selection.
+
+    Parameters
+    ----------
+    without : Refit
+        The model before it.
+    candidates : tuple of Trialled
+        By gain, best first.
+    alike : tuple of str
+        The leader and those that it does not lead clearly; empty if nothing was accepted.
+
+    """
+
+    without: Refit
+    candidates: tuple[Trialled, ...]
+    alike: tuple[str, ...]
+
+
+def price(bench: Workbench, effect: str) -> float:
+    """Return what an effect must lower the deviance by to be worth its parameters."""
+    declared = BY_NAME[effect]
+    own = len(declared.trial_parameters) * len(bench.trials)
+    return (len(declared.parameters) + own) * math.log(bench.samples)
+
+
+def changes(bench: Workbench, one: Refit, other: Refit) -> FloatArray:
+    """Return by what two models differ, sample by sample, over the noise of the second."""
+    parts = []
+    force_noise, height_noise = other.force_noise.std, other.height_noise.std
+    for index, trial in enumerate(bench.trials):
+        a = one.problem.predict(one.state, index, directions=False)
+        b = other.problem.predict(other.state, index, directions=False)
+        zero, height_zero = _zeros(one, index), _zeros(other, index)
+        force = (a.force + zero[0] - b.force - height_zero[0]) / force_noise
+        parts.append(force * np.sqrt(trial.force_count))
+        if trial.height_t.size:
+            height = (a.height + zero[1] - b.height - height_zero[1]) / height_noise
+            parts.append(height * np.sqrt(trial.height_count))
+    return np.concatenate(parts)
+
+
+def strength(bench: Workbench, one: Refit, other: Refit) -> float:
+    """Return the root mean square of `changes` over all samples."""
+    total = sum(float(t.force_count.sum() + t.height_count.sum()) for t in bench.trials)
+    difference = changes(bench, one, other)
+    return math.sqrt(float(difference @ difference) / total)
+
+
+def try_all(
+    bench: Workbench,
+    without: Refit,
+    names: Sequence[str],
+    *,
+    workers: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Trialled, ...]:
+    """
+    Hold candidates against a model without them.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    without : Refit
+        The model.
+    names : sequence of str
+        The candidates.
+    workers : int
+        Threads.
+    progress : callable, optional
+        Told of each candidate.
+
+    Returns
+    -------
+    tuple of Trialled
+        By gain, best first.
+
+    """
+
+    def one(name: str) -> Trialled:
+        if progress is not None:
+            progress(name)
+        model = Model((*without.model.effects, name))
+        worth = price(bench, name)
+        promised = bench.promise(model, without)
+        if promised < worth / 3.0:
+            return Trialled(name, max(promised, 0.0), max(promised, 0.0) - worth, 0.0, None)
+        refit = bench.refit(model, without)
+        if refit is None:
+            return Trialled(name, 0.0, -worth, 0.0, None)
+        score = max(without.deviance - refit.deviance, 0.0)
+        return Trialled(name, score, score - worth, strength(bench, refit, without), refit)
+
+    if workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
+            tried = list(pool.map(one, names))
+    else:
+        tried = [one(name) for name in names]
+    return tuple(sorted(tried, key=lambda each: -each.gain))
+
+
+def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
+    """Return the effects that a model can still take."""
+    excluded = {other for name in model.effects for other in BY_NAME[name].excludes}
+    excluded |= {e.name for e in EFFECTS if set(e.excludes) & set(model.effects)}
+    return [name for name in names if name not in model.effects and name not in excluded]
+
+
+def select(
+    bench: Workbench,
+    base: Refit,
+    names: Sequence[str],
+    *,
+    workers: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Refit, tuple[Round, ...]]:
+    """
+    Add effects to a model as long as one gains clearly.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    base : Refit
+        The model to begin with.
+    names : sequence of str
+        The candidates.
+    workers : int
+        Threads.
+    progress : callable, optional
+        Told of each candidate.
+
+    Returns
+    -------
+    chosen : Refit
+        The model with what was accepted.
+    rounds : tuple of Round
+        How it came to that; the last has accepted nothing unless the most effects are reached.
+
+    """
+    current, rounds, strongest = base, list[Round](), 0.0
+    while len(rounds) < _MOST:
+        open_ = candidates_for(current.model, names)
+        tried = try_all(bench, current, open_, workers=workers, progress=progress)
+        weakest = max(WEAKEST, _SECONDARY * strongest)
+        good = [each for each in tried if each.gain > GATE and each.strength > weakest]
+        if not good or good[0].refit is None:
+            rounds.append(Round(current, tried, ()))
+            break
+        leader = good[0]
+        alike = tuple(each.effect for each in good if each.gain > leader.gain - LEAD)
+        rounds.append(Round(current, tried, alike))
+        strongest = max(strongest, leader.strength)
+        current = good[0].refit
+    return current, tuple(rounds)
+
+
+def eliminate(
+    bench: Workbench, chosen: Refit, rounds: Sequence[Round]
+) -> tuple[Refit, tuple[str, ...]]:
+    """
+    Take out effects that later ones have made superfluous.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    chosen : Refit
+        The model with all accepted effects.
+    rounds : sequence of Round
+        How they were accepted.
+
+    Returns
+    -------
+    chosen : Refit
+        The model with those that are needed.
+    order : tuple of str
+        These, in the order of their adding.
+
+    """
+    order = [each.alike[0] for each in rounds if each.alike]
+    while len(order) > 1:
+        losses = []
+        for name in order:
+            fewer = bench.refit(Model(tuple(n for n in order if n != name)), chosen)
+            if fewer is not None:
+                loss = fewer.deviance - chosen.deviance - price(bench, name)
+                losses.append((loss, name, fewer))
+        least = min(losses, key=lambda each: each[0], default=None)
+        if least is None or least[0] > GATE:
+            break
+        chosen = least[2]
+        order.remove(least[1])
+    return chosen, tuple(order)
+
+
+def _zeros(refit: Refit, index: int) -> tuple[float, float]:
+    _, force, height = refit.problem.own(refit.state, index)
+    return force, height

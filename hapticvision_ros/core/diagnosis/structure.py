@@ -1,0 +1,240 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Whether anything but noise is left in the residual, and what it looks like.
+
+The residual is held against flexible smooth curves that belong to no effect: over each phase of
+the trials, of the same size in all trials or growing with their force, or different in each. Such
+a curve is described and never added to the model: it would predict nothing.
+
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import math
+from typing import Final, Literal
+
+from hapticvision_ros.core.diagnosis.records import Channel, Phase
+from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Smooth, Workbench
+from hapticvision_ros.core.fit.data import FitTrial
+from hapticvision_ros.core.records import FloatArray, Segmentation
+import numpy as np
+
+_PHASES: Final[tuple[Phase, ...]] = ('push', 'hold', 'release', 'recover')
+_HATS: Final = 5
+"""Corners of the curve over a phase."""
+GATE: Final = 12.0
+"""Gain in Schwarz's criterion from which on something is left."""
+_LOOKED_CLOSER: Final = 3
+"""Curves whose noise is estimated anew."""
+
+_EARLY: Final = 100.0
+"""What the logarithm sees begins at a hundredth of the phase."""
+
+type Along = Literal['time', 'log time']
+type Size = Literal['alike', 'force', 'own']
+_ALONG: Final[tuple[Along, ...]] = ('time', 'log time')
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """
+    A smooth curve over one phase in one channel.
+
+    Parameters
+    ----------
+    channel : Channel
+        Where it is.
+    phase : Phase
+        When.
+    along : {'time', 'log time'}
+        What it is smooth in: the time since the phase began, over its duration; or its logarithm.
+    size : {'alike', 'force', 'own'}
+        The same in all trials, in proportion to the largest force of each, or of its own in each.
+
+    """
+
+    channel: Channel
+    phase: Phase
+    along: Along
+    size: Size
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """
+    What a curve takes out of the residual.
+
+    Parameters
+    ----------
+    curve : Curve
+        The curve.
+    gain : float
+        By how much it lowers the deviance beyond the price of its corners.
+    rms : float
+        Its root mean square where it is not zero, in the channel's unit.
+    strength : float
+        Its root mean square over all samples of the campaign, over their noise.
+    share : float
+        Part of the squares of the channel's residual in this phase that it takes out.
+
+    """
+
+    curve: Curve
+    gain: float
+    rms: float
+    strength: float
+    share: float
+
+
+def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tuple[Found, ...]:
+    """
+    Return the curves that stand out of the residual of a model, the strongest first.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    found : Refit
+        The model.
+    phases : sequence of Segmentation
+        Of its trials.
+
+    Returns
+    -------
+    tuple of Found
+        Those that gain anything; what gains less than `GATE` may be chance.
+
+    """
+    rough = []
+    for curve in _curves(bench):
+        columns = _columns(bench, phases, curve)
+        smooth = bench.smooth(found, columns, again=False)
+        if smooth.count:
+            gain = smooth.gain - smooth.count * math.log(bench.samples)
+            rough.append((gain, curve, columns))
+    rough.sort(key=lambda each: -each[0])
+    results = []
+    for first, curve, columns in rough[:_LOOKED_CLOSER]:
+        if first < 0.0:
+            break
+        smooth = bench.smooth(found, columns, again=True)
+        gain = smooth.gain - smooth.count * math.log(bench.samples)
+        if gain > 0.0:
+            results.append(_described(bench, found, phases, curve, smooth, gain))
+    return tuple(sorted(results, key=lambda each: -each.gain))
+
+
+def _curves(bench: Workbench) -> Iterator[Curve]:
+    """Yield the curves to look for."""
+    channels: list[Channel] = ['force']
+    if any(trial.height_t.size for trial in bench.trials):
+        channels.append('height')
+    sizes: list[Size] = ['alike', 'force', 'own'] if len(bench.trials) > 1 else ['alike']
+    for channel in channels:
+        for phase in _PHASES:
+            for along in _ALONG:
+                for size in sizes:
+                    yield Curve(channel, phase, along, size)
+
+
+def _columns(bench: Workbench, phases: Sequence[Segmentation], curve: Curve) -> list[Columns]:
+    """Return the hats of a curve in each trial."""
+    count = len(bench.trials) * _HATS if curve.size == 'own' else _HATS
+    result = []
+    for index, (trial, segmentation) in enumerate(zip(bench.trials, phases, strict=True)):
+        columns = Columns(
+            np.zeros((count, trial.force.size)), np.zeros((count, trial.height_t.size))
+        )
+        t = 0.5 * (trial.t[1:] + trial.t[:-1]) if curve.channel == 'force' else trial.height_t
+        rows = columns.force if curve.channel == 'force' else columns.height
+        first = index * _HATS if curve.size == 'own' else 0
+        size = float(np.abs(trial.force).max()) if curve.size == 'force' else 1.0
+        rows[first : first + _HATS] = size * _hats(trial, segmentation, curve, t)
+        result.append(columns)
+    return result
+
+
+def _hats(trial: FitTrial, segmentation: Segmentation, curve: Curve, t: FloatArray) -> FloatArray:
+    """Return the hats over a phase at some times; shape (hats, times)."""
+    start, stop = _bounds(trial, segmentation, curve.phase)
+    hats = np.zeros((_HATS, t.size))
+    if start is None or stop is None or stop <= start:
+        return hats
+    inside = (t >= start) & (t < stop)
+    along = (t[inside] - start) / (stop - start)
+    if curve.along == 'log time':
+        along = np.log1p(_EARLY * along) / math.log1p(_EARLY)
+    corners = np.linspace(0.0, 1.0, _HATS)
+    for k in range(_HATS):
+        hats[k, inside] = np.maximum(1.0 - np.abs(along - corners[k]) * (_HATS - 1), 0.0)
+    return hats
+
+
+def _bounds(
+    trial: FitTrial, segmentation: Segmentation, phase: Phase
+) -> tuple[float | None, float | None]:
+    """Return when a phase begins and ends [s]."""
+    end = float(trial.t[-1])
+    times = [
+        segmentation.t_contact,
+        segmentation.t_hold,
+        segmentation.t_release,
+        segmentation.t_loss,
+    ]
+    index = _PHASES.index(phase)
+    following = [time for time in times[index + 1 :] if time is not None]
+    return times[index], following[0] if following else end
+
+
+def _described(
+    bench: Workbench,
+    found: Refit,
+    phases: Sequence[Segmentation],
+    curve: Curve,
+    smooth: Smooth,
+    gain: float,
+) -> Found:
+    """Return the size of a curve that was found."""
+    force = curve.channel == 'force'
+    weights, values, residuals = [], [], []
+    for index, (trial, segmentation) in enumerate(zip(bench.trials, phases, strict=True)):
+        t = 0.5 * (trial.t[1:] + trial.t[:-1]) if force else trial.height_t
+        start, stop = _bounds(trial, segmentation, curve.phase)
+        if start is None or stop is None:
+            continue
+        inside = (t >= start) & (t < stop)
+        taken = smooth.force[index] if force else smooth.height[index]
+        left = bench.residual(found.problem, found.state, index)[0 if force else 1]
+        weights.append((trial.force_count if force else trial.height_count)[inside])
+        values.append(taken[inside])
+        residuals.append(left[inside])
+    weight, value = np.concatenate(weights), np.concatenate(values)
+    residual = np.concatenate(residuals)
+    squares = float(weight @ value**2)
+    noise = (found.force_noise if force else found.height_noise).std
+    all_samples = sum(
+        float((trial.force_count if force else trial.height_count).sum()) for trial in bench.trials
+    )
+    before = float(weight @ residual**2)
+    after = float(weight @ (residual - value) ** 2)
+    return Found(
+        curve=curve,
+        gain=gain,
+        rms=math.sqrt(squares / max(float(weight.sum()), 1.0)),
+        strength=math.sqrt(squares / all_samples) / noise,
+        share=1.0 - after / before if before > 0.0 else 0.0,
+    )
