@@ -48,6 +48,7 @@ class Verb:
 VERBS: Final = {
     'import': Verb('import_csv', 'turn measured CSV files into bags'),
     'fit': Verb('fit', 'estimate rheological parameters from bags'),
+    'export': Verb('export', 'write a fitted model for finite-element codes and simulators'),
     'demo': Verb('demo', 'run an experiment on the simulated cell, fit it and real data'),
     'cell': Verb('cell', "start the cell's nodes"),
     'replay': Verb('replay', 'play a bag through the nodes'),

@@ -25,6 +25,7 @@ FORCE_UNITS: Final = MappingProxyType(
     {'N': 1.0, 'mN': 1e-3, 'gf': 1e-3 * STANDARD_GRAVITY, 'kgf': STANDARD_GRAVITY}
 )
 LENGTH_UNITS: Final = MappingProxyType({'m': 1.0, 'mm': 1e-3, 'um': 1e-6})
+AREA_UNITS: Final = MappingProxyType({'m2': 1.0, 'cm2': 1e-4, 'mm2': 1e-6})
 
 MM: Final = LENGTH_UNITS['mm']
 KGF_PER_MM: Final = FORCE_UNITS['kgf'] / MM

@@ -1,0 +1,210 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+``hapticvision export``: a fitted model in the terms of finite-element codes and simulators.
+
+It reads what `hapticvision fit` wrote, so that nothing is fitted again.
+"""
+
+import argparse
+from collections.abc import Mapping
+import json
+import math
+from pathlib import Path
+import re
+from typing import Any, TYPE_CHECKING
+
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.core.units import AREA_UNITS, LENGTH_UNITS
+
+if TYPE_CHECKING:
+    from hapticvision_ros.core.composition import Model
+    from hapticvision_ros.core.export import Specimen
+    from hapticvision_ros.core.records import Estimate
+
+FORMATS = ('json', 'csv', 'abaqus', 'ansys', 'mujoco')
+POINTS = ('rest', 'reference')
+RESULT_SCHEMA = 'hapticvision/result/1'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument(
+        'result', type=Path, metavar='RESULT_JSON', help='what hapticvision fit wrote'
+    )
+    parser.add_argument(
+        '--format',
+        choices=FORMATS,
+        required=True,
+        help='json: all forms; csv: relaxation function; abaqus, ansys: Prony series; mujoco',
+    )
+    parser.add_argument(
+        '--which',
+        choices=('before', 'after'),
+        help='the base model, or the one with what it lacked (default: after where there is one)',
+    )
+    parser.add_argument(
+        '--area', metavar='AREA', help='cross-section of the specimen, in m2 or as 51cm2, 5100mm2'
+    )
+    parser.add_argument(
+        '--height', metavar='LENGTH', help='its original height, in metres or as 40mm'
+    )
+    parser.add_argument(
+        '--poisson', type=float, metavar='NU', help="Poisson's ratio (for abaqus, ansys)"
+    )
+    parser.add_argument(
+        '--shortest-time',
+        type=float,
+        metavar='S',
+        help='the shortest time that the simulation resolves [s] (for abaqus, ansys)',
+    )
+    parser.add_argument(
+        '--linearise',
+        choices=POINTS,
+        metavar='POINT',
+        help='where a nonlinear model is taken as linear: rest or reference',
+    )
+    parser.add_argument(
+        '--out', type=Path, metavar='FILE', help='where it goes (default: standard output)'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the result and write the export."""
+    specimen = _specimen(args)
+    model, parameters = _fitted(args.result, args.which)
+    text = _export(args, model, parameters, specimen)
+    if args.out is None:
+        print(text, end='')
+        return 0
+    try:
+        args.out.write_text(text, encoding='utf-8')
+    except OSError as error:
+        raise InputError(
+            f'{args.out} cannot be written ({error.strerror}): choose another --out.'
+        ) from error
+    print(f'Wrote {args.out}.')
+    return 0
+
+
+def _export(
+    args: argparse.Namespace,
+    model: 'Model',
+    parameters: 'Mapping[str, Estimate]',
+    specimen: 'Specimen | None',
+) -> str:
+    """Return the text of the export."""
+    from hapticvision_ros.core import export
+    from hapticvision_ros.core.relaxation import relaxation_function
+
+    if args.format == 'json':
+        document = export.document(model, parameters, specimen, args.linearise)
+        return json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
+    if args.format == 'csv':
+        values = export.known_values(model, parameters)
+        return export.csv(relaxation_function(model, values, args.linearise))
+    if args.format == 'mujoco':
+        return export.mujoco(model, export.known_values(model, parameters))
+    if specimen is None or args.poisson is None:
+        raise UsageError(
+            f'--format {args.format} needs --area, --height and --poisson: a finite-element code '
+            'works with moduli, not with stiffnesses.'
+        )
+    series = export.finite_element_series(
+        model, parameters, specimen, args.shortest_time, args.linearise
+    )
+    remarks = [f'{model.name}, from {args.result.name}']
+    if args.linearise is not None:
+        remarks.append(f'linearised at: {args.linearise}')
+    if args.shortest_time is not None:
+        remarks.append(f'nothing faster than {args.shortest_time:g} s is resolved')
+    write = export.abaqus if args.format == 'abaqus' else export.ansys
+    return write(series, args.poisson, remarks)
+
+
+def _specimen(args: argparse.Namespace) -> 'Specimen | None':
+    """Return what was pressed, as far as the arguments tell."""
+    from hapticvision_ros.core.export import Specimen
+
+    if args.area is None and args.height is None:
+        return None
+    if args.area is None or args.height is None:
+        raise UsageError('--area and --height belong together: give both.')
+    return Specimen(
+        _quantity('--area', args.area, AREA_UNITS, 'm2', '0.0051 or 51cm2'),
+        _quantity('--height', args.height, LENGTH_UNITS, 'm', '0.04 or 40mm'),
+    )
+
+
+def _quantity(
+    option: str, text: str, units: Mapping[str, float], default: str, example: str
+) -> float:
+    """Return a number above zero in SI units, given with or without its unit."""
+    match = re.fullmatch(r'(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*([a-z]+\d?)?', text.strip())
+    unit = (match[3] or default) if match else ''
+    if match is None or unit not in units or float(match[1]) == 0.0:
+        raise UsageError(f"{option} '{text}' is no size: write it as {example}.")
+    return float(match[1] + (match[2] or '')) * units[unit]
+
+
+def _fitted(path: Path, which: str | None) -> 'tuple[Model, dict[str, Estimate]]':
+    """Return the model of a result and its parameters."""
+    from hapticvision_ros.core.composition import Model
+
+    result = _read(path)
+    chosen = which or ('after' if result.get('after') is not None else 'before')
+    fitted = result.get(chosen)
+    if fitted is None:
+        raise UsageError(f"{path} has no model '{chosen}': leave --which away.")
+    try:
+        model = Model.parse(fitted['model'])
+        return model, {
+            name: _estimate(name, fitted['parameters'][name], result['warnings'])
+            for name in model.names
+        }
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} does not hold the parameters of its model '{chosen}' ({error}): write it "
+            'anew with hapticvision fit.'
+        ) from error
+
+
+def _estimate(name: str, entry: Mapping[str, Any], warnings: list[str]) -> 'Estimate':
+    """Return one parameter; where it is null, with the warning that says why."""
+    from hapticvision_ros.core.records import Estimate
+
+    if entry['value'] is not None:
+        value, std = float(entry['value']), entry['std']
+        if not math.isfinite(value):
+            raise ValueError(f'{name} is not finite')
+        return Estimate(value, None if std is None else float(std))
+    told = [text for text in warnings if re.search(rf'\b{re.escape(name)}\b', text)]
+    reason = told[0].partition('unknown: ')[2] if told else ''
+    return Estimate.unknown(reason or 'the trials do not tell it')
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the document of a result."""
+    try:
+        result = json.loads(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise InputError(
+            f'{path} cannot be read ({error.strerror}): name a result.json.'
+        ) from error
+    except ValueError as error:
+        raise InputError(f'{path} is no JSON ({error}): name a result.json.') from error
+    if not isinstance(result, dict) or result.get('schema') != RESULT_SCHEMA:
+        raise InputError(f'{path} is no result of hapticvision fit: name a result.json.')
+    return result

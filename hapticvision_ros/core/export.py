@@ -1,0 +1,569 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Fitted parameters in the terms of others: moduli, Prony series, links of a simulator.
+
+Moduli and viscosities hold for a specimen of one height and one cross-section that is pressed over
+all of it: ``stress = F / A``, ``strain = H / h``. A tool that is smaller than the object gives
+numbers of the right size at best.
+
+References
+----------
+J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., 1980, ch. 1 (stiffness and modulus);
+Abaqus Keywords Reference (VISCOELASTIC, TIME=PRONY); Ansys Mechanical APDL Command Reference (TB,
+PRONY); MuJoCo XML Reference, joint (stiffness, damping, frictionloss).
+
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any, Final
+
+from hapticvision_ros.core.composition import BASE, BASE_PARAMETERS, Model
+from hapticvision_ros.core.effects import BY_NAME
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.models.chain import Slot
+from hapticvision_ros.core.records import Estimate
+from hapticvision_ros.core.relaxation import (
+    linear_chain,
+    Point,
+    prony_series,
+    PronySeries,
+    relaxation_function,
+    RelaxationFunction,
+)
+import numpy as np
+
+SCHEMA: Final = 'hapticvision/export/1'
+
+_STEP: Final = 1e-4
+"""Time step that the MuJoCo model asks for [s]: its dry friction creeps by much more at 1 ms."""
+_STEPS_A_SWING: Final = 20.0
+"""Steps in 1/omega of the mass on the stiffest spring."""
+_HARD_FRICTION: Final = f' solreffriction="{2.0 * _STEP:g} 1" solimpfriction="0.9999 0.9999"'
+"""MuJoCo's dry friction is soft: as hard as it can be."""
+_LAWS: Final = ('strain_stiffening', 'damage', 'shear_thinning', 'contact_growth', 'ageing')
+"""Effects that a link with constant numbers cannot hold."""
+_DIGITS: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """
+    What was pressed.
+
+    Parameters
+    ----------
+    area : float
+        Cross-section A [m^2].
+    height : float
+        Original height h [m].
+
+    Raises
+    ------
+    UsageError
+        If one of them is not a number above zero.
+
+    """
+
+    area: float
+    height: float
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (('area', self.area, 'm^2'), ('height', self.height, 'm')):
+            if not 0.0 < value < math.inf:
+                raise UsageError(f'the {name} of a specimen is above zero, not {value:g} {unit}')
+
+    @property
+    def modulus(self) -> float:
+        """Return what turns a stiffness into a modulus, h/A [1/m]."""
+        return self.height / self.area
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialQuantity:
+    """
+    A parameter as stress over strain.
+
+    Parameters
+    ----------
+    symbol : str or None
+        Its name as one of the material; None where it has no such form.
+    unit : str or None
+        Its unit.
+    estimate : Estimate
+        Value and standard error, both by the same factor; unknown with the reason.
+
+    """
+
+    symbol: str | None
+    unit: str | None
+    estimate: Estimate
+
+
+def material_quantities(
+    model: Model, parameters: Mapping[str, Estimate], specimen: Specimen
+) -> dict[str, MaterialQuantity]:
+    """
+    Return the parameters of a model as quantities of stress and strain.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to Estimate
+        Its parameters in SI units, by name.
+    specimen : Specimen
+        What was pressed; its area and height are taken as exact.
+
+    Returns
+    -------
+    dict of str to MaterialQuantity
+        ``E = K h / A`` [Pa], ``eta = C h / A`` [Pa.s], ``sigma = F / A`` [Pa], ``beta h^2`` [-],
+        and numbers without a unit as they are; null with the reason for what is not a property of
+        the material.
+
+    """
+    return {
+        name: _material(effect, name, parameters[name], specimen)
+        for effect, name in zip(_owners(model), model.names, strict=True)
+    }
+
+
+def _owners(model: Model) -> tuple[str, ...]:
+    """Return the effect that each parameter belongs to."""
+    owners = [BASE] * len(BASE_PARAMETERS)
+    for effect in model.declared:
+        owners += [effect.name] * len(effect.parameters)
+    return tuple(owners)
+
+
+def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) -> MaterialQuantity:
+    """Return one parameter as a quantity of the material."""
+    symbol = name.rpartition('.')[2]
+    if effect != BASE and BY_NAME[effect].kind != 'object':
+        where = BY_NAME[effect].kind
+        return _no_form(f'{effect} is of the {where}, not of the object')
+    forms = {
+        'K': ('E' + symbol[1:], 'Pa', specimen.modulus),
+        'C': ('eta' + symbol[1:], 'Pa.s', specimen.modulus),
+    }
+    special = {
+        'F_y': ('sigma_y', 'Pa', 1.0 / specimen.area),
+        'beta': ('beta', '-', specimen.height**2),
+        'n': ('n', '-', 1.0),
+        'm': ('m', '-', 1.0),
+        'D': ('D', '-', 1.0),
+        'alpha': ('alpha', '-', 1.0),
+        'rate': ('rate', '1/h', 1.0),
+    }
+    form = special.get(symbol) or forms.get(symbol[:1])
+    if form is None:
+        return _no_form(_WITHOUT_FORM.get(symbol, f'{symbol} has no form as stress over strain'))
+    of_material, unit, factor = form
+    if estimate.value is None:
+        return MaterialQuantity(of_material, unit, estimate)
+    std = None if estimate.std is None else estimate.std * factor
+    return MaterialQuantity(
+        of_material, unit, Estimate(estimate.value * factor, std, estimate.reason)
+    )
+
+
+_WITHOUT_FORM: Final = {
+    'M': 'the mass that moves with the contact point is none of a volume of the material',
+    'F_ad': 'a pull-off force goes with the edge of the contact, not with its area',
+}
+
+
+def _no_form(reason: str) -> MaterialQuantity:
+    return MaterialQuantity(None, None, Estimate.unknown(reason))
+
+
+def known_values(model: Model, parameters: Mapping[str, Estimate]) -> dict[str, float]:
+    """
+    Return the numbers of parameters that all have to be known.
+
+    Raises
+    ------
+    UsageError
+        If the trials have not told one of them.
+
+    """
+    values = {}
+    for name in model.names:
+        estimate = parameters[name]
+        if estimate.value is None:
+            why = f' ({estimate.reason})' if estimate.reason else ''
+            raise UsageError(
+                f'the trials do not tell {name}{why}: fit a model of which they tell everything'
+            )
+        values[name] = estimate.value
+    return values
+
+
+def links(model: Model, parameters: Mapping[str, float]) -> dict[str, Any]:
+    """
+    Return the chain as links of a simulator.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to float
+        Its parameters in SI units, by name.
+
+    Returns
+    -------
+    dict
+        `in_series`: from the tool to the support, each a spring, a dashpot and a slider side by
+        side; `parallel_stiffness_N_m` over all of them; mass and pull-off force of the contact
+        point; `laws`: for each effect that constant numbers cannot hold, its law and parameters.
+
+    """
+    draft = linear_chain(model, parameters)
+    slots = draft.slots.real
+    compliance = float(slots[Slot.SERIES_COMPLIANCE])
+    chain = []
+    if compliance > 0.0:
+        chain.append(_link('instantaneous', 1.0 / compliance, 0.0))
+    chain.append(_link('retarded', float(slots[Slot.K1]), float(slots[Slot.C1])))
+    for number, (stiffness, viscosity) in enumerate(draft.units, 2):
+        chain.append(_link(f'retarded_{number}', stiffness.real, viscosity.real))
+    chain.append(_link('flow', 0.0, float(slots[Slot.C2]), parameters.get('F_y', 0.0)))
+    return {
+        'in_series': chain,
+        'parallel_stiffness_N_m': float(slots[Slot.PARALLEL_STIFFNESS]),
+        'mass_kg': parameters.get('M', 0.0),
+        'pull_off_force_N': parameters.get('F_ad', 0.0),
+        'laws': {
+            effect.name: {
+                'law': ' '.join(effect.sketch.split()),
+                'parameters': {
+                    name: parameters[name]
+                    for owner, name in zip(_owners(model), model.names, strict=True)
+                    if owner == effect.name
+                },
+            }
+            for effect in model.declared
+            if effect.name in _LAWS
+        },
+    }
+
+
+def _link(
+    name: str, stiffness: float, damping: float, dry_friction: float = 0.0
+) -> dict[str, Any]:
+    return {
+        'name': name,
+        'stiffness_N_m': stiffness,
+        'damping_Ns_m': damping,
+        'dry_friction_N': dry_friction,
+    }
+
+
+def document(
+    model: Model,
+    parameters: Mapping[str, Estimate],
+    specimen: Specimen | None = None,
+    point: Point | None = None,
+) -> dict[str, Any]:
+    """
+    Return all forms of a fitted model, as JSON holds them.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to Estimate
+        Its parameters in SI units, by name.
+    specimen : Specimen, optional
+        What was pressed; without it there are no quantities of the material.
+    point : {'rest', 'reference'}, optional
+        Where a nonlinear model is linearised for its relaxation function.
+
+    Returns
+    -------
+    dict
+        Finite numbers, strings, lists, dicts and None; next to each None stands its reason.
+
+    """
+    result: dict[str, Any] = {
+        'schema': SCHEMA,
+        'model': model.name,
+        'parameters': {
+            name: _entry(parameters[name], unit)
+            for name, unit in zip(model.names, model.units, strict=True)
+        },
+        'specimen': None,
+        'material': None,
+        'relaxation': None,
+        'links': None,
+        'reasons': {},
+    }
+    if specimen is None:
+        result['reasons']['material'] = 'area and height of the specimen are not given'
+    else:
+        result['specimen'] = {'area_m2': specimen.area, 'height_m': specimen.height}
+        result['material'] = {
+            name: {'symbol': quantity.symbol} | _entry(quantity.estimate, quantity.unit)
+            for name, quantity in material_quantities(model, parameters, specimen).items()
+        }
+    try:
+        values = known_values(model, parameters)
+    except UsageError as error:
+        result['reasons'] |= dict.fromkeys(('relaxation', 'links'), str(error))
+        return result
+    result['links'] = links(model, values)
+    try:
+        relaxation = relaxation_function(model, values, point)
+    except UsageError as error:
+        result['reasons']['relaxation'] = str(error)
+        return result
+    result['relaxation'] = {
+        'linearised_at': point,
+        'long_term_N_m': relaxation.long_term,
+        'impulse_Ns_m': relaxation.impulse,
+        'terms': [
+            {'stiffness_N_m': stiffness, 'relaxation_time_s': time}
+            for stiffness, time in _terms(relaxation)
+        ],
+    }
+    return result
+
+
+def _entry(estimate: Estimate, unit: str | None) -> dict[str, Any]:
+    return {
+        'value': estimate.value,
+        'std': estimate.std,
+        'unit': unit,
+        'reason': estimate.reason,
+    }
+
+
+def _terms(relaxation: RelaxationFunction) -> list[tuple[float, float]]:
+    return list(
+        zip(relaxation.stiffness.tolist(), relaxation.relaxation_time.tolist(), strict=True)
+    )
+
+
+def csv(relaxation: RelaxationFunction) -> str:
+    """
+    Return a relaxation function as a table.
+
+    A row is a spring (no time), a dashpot (no stiffness) or a Maxwell branch; all stand side by
+    side.
+    """
+    rows = ['stiffness_N_m,viscosity_Ns_m,relaxation_time_s']
+    if relaxation.long_term > 0.0:
+        rows.append(f'{relaxation.long_term!r},,')
+    if relaxation.impulse > 0.0:
+        rows.append(f',{relaxation.impulse!r},')
+    rows += [f'{K!r},{K * T!r},{T!r}' for K, T in _terms(relaxation)]
+    return '\n'.join(rows) + '\n'
+
+
+def abaqus(series: PronySeries, poisson: float, remarks: Sequence[str] = ()) -> str:
+    """
+    Return a Prony series as Abaqus reads it.
+
+    Parameters
+    ----------
+    series : PronySeries
+        With a modulus in Pa.
+    poisson : float
+        Poisson's ratio, taken as constant in time: shear and bulk relax alike.
+    remarks : sequence of str
+        Lines of comment.
+
+    Returns
+    -------
+    str
+        A material: instantaneous modulus, then a line of g, k and relaxation time for each term.
+
+    """
+    _check_poisson(poisson)
+    lines = [f'** {remark}' for remark in (*remarks, *_remarks(series))]
+    lines += [
+        '*MATERIAL, NAME=HAPTICVISION',
+        '*ELASTIC, MODULI=INSTANTANEOUS',
+        f'{series.instantaneous:.{_DIGITS}g}, {poisson:g}',
+        '*VISCOELASTIC, TIME=PRONY',
+        *(f'{g}, {g}, {T:.{_DIGITS}g}' for g, T in _printed(series)),
+    ]
+    return '\n'.join(lines) + '\n'
+
+
+def ansys(series: PronySeries, poisson: float, remarks: Sequence[str] = ()) -> str:
+    """
+    Return a Prony series as commands of Ansys Mechanical APDL, for material 1.
+
+    Parameters
+    ----------
+    series : PronySeries
+        With a modulus in Pa.
+    poisson : float
+        Poisson's ratio, taken as constant in time: shear and bulk relax alike.
+    remarks : sequence of str
+        Lines of comment.
+
+    Returns
+    -------
+    str
+        Instantaneous modulus, then the pairs of ratio and relaxation time for shear and bulk.
+
+    """
+    _check_poisson(poisson)
+    lines = [f'! {remark}' for remark in (*remarks, *_remarks(series))]
+    lines += [f'MP,EX,1,{series.instantaneous:.{_DIGITS}g}', f'MP,PRXY,1,{poisson:g}']
+    pairs = [f'{g},{T:.{_DIGITS}g}' for g, T in _printed(series)]
+    for part in ('SHEAR', 'BULK'):
+        lines.append(f'TB,PRONY,1,1,{len(pairs)},{part}')
+        # A command takes six numbers.
+        lines += [
+            f'TBDATA,{1 + 2 * first},{",".join(pairs[first : first + 3])}'
+            for first in range(0, len(pairs), 3)
+        ]
+    return '\n'.join(lines) + '\n'
+
+
+def _check_poisson(poisson: float) -> None:
+    if not -1.0 < poisson < 0.5:
+        raise UsageError(
+            f"Poisson's ratio is {poisson:g}: it must be above -1 and below 0.5, as 0.49"
+        )
+
+
+def _remarks(series: PronySeries) -> Iterator[str]:
+    yield 'SI units: Pa, s'
+    if series.long_term_ratio < 10.0**-_DIGITS:
+        yield 'the body flows: the ratios add up to 1, and no modulus is left in the long run'
+
+
+def _printed(series: PronySeries) -> list[tuple[str, float]]:
+    """Return ratios, rounded so that they never add up to more than 1, and relaxation times."""
+    scale = 10.0**_DIGITS
+    ratios = np.floor(series.ratio * scale) / scale
+    return [
+        (f'{ratio:.{_DIGITS}f}', time)
+        for ratio, time in zip(ratios.tolist(), series.relaxation_time.tolist(), strict=True)
+    ]
+
+
+def mujoco(model: Model, parameters: Mapping[str, float]) -> str:
+    """
+    Return the chain as a MuJoCo model: one slide joint in another for each link.
+
+    Each joint has the spring, the dashpot and the dry friction of its link. The bodies between
+    them need a mass that the chain does not have: it is as small as the time step can bear, and a
+    spring without a dashpot gets one that stops its swing on that mass within milliseconds. The
+    contact point has the mass of the effect `inertia` on top.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to float
+        Its parameters in SI units, by name.
+
+    Returns
+    -------
+    str
+        MJCF. The height of the body named `surface` falls by the displacement height H.
+
+    Raises
+    ------
+    UsageError
+        If the model has a law that constant numbers cannot hold.
+
+    """
+    chain = links(model, parameters)
+    if chain['laws']:
+        raise UsageError(
+            f'a MuJoCo joint has constant numbers and cannot hold {", ".join(chain["laws"])}: '
+            'export json, which has their laws'
+        )
+    joints = chain['in_series'][::-1]
+    mass = max(joint['stiffness_N_m'] for joint in joints) * (_STEPS_A_SWING * _STEP) ** 2
+    lines = [
+        '<mujoco model="hapticvision">',
+        f'  <option timestep="{_STEP:g}" integrator="implicitfast" gravity="0 0 0"/>',
+        '  <worldbody>',
+    ]
+    for depth, joint in enumerate(joints):
+        pad = '  ' * (depth + 2)
+        last = depth == len(joints) - 1
+        here = mass + (chain['mass_kg'] if last else 0.0)
+        damping = joint['damping_Ns_m'] or 2.0 * math.sqrt(joint['stiffness_N_m'] * mass)
+        lines += [
+            f'{pad}<body name="{"surface" if last else joint["name"]}">',
+            f'{pad}  <joint name="{joint["name"]}" type="slide" axis="0 0 -1" '
+            f'stiffness="{joint["stiffness_N_m"]:.{_DIGITS}g}" '
+            f'damping="{damping:.{_DIGITS}g}" '
+            f'frictionloss="{joint["dry_friction_N"]:.{_DIGITS}g}"{_HARD_FRICTION}/>',
+            f'{pad}  <inertial pos="0 0 0" mass="{here:.{_DIGITS}g}" diaginertia="1 1 1"/>',
+        ]
+    lines += [f'{"  " * (depth + 2)}</body>' for depth in reversed(range(len(joints)))]
+    lines.append('  </worldbody>')
+    if chain['parallel_stiffness_N_m'] > 0.0:
+        lines += [
+            '  <tendon>',
+            '    <fixed name="parallel" springlength="0" '
+            f'stiffness="{chain["parallel_stiffness_N_m"]:.{_DIGITS}g}">',
+            *(f'      <joint joint="{joint["name"]}" coef="1"/>' for joint in joints),
+            '    </fixed>',
+            '  </tendon>',
+        ]
+    lines.append('</mujoco>')
+    return '\n'.join(lines) + '\n'
+
+
+def finite_element_series(
+    model: Model,
+    parameters: Mapping[str, Estimate],
+    specimen: Specimen,
+    shortest_time: float | None = None,
+    point: Point | None = None,
+) -> PronySeries:
+    """
+    Return the Prony series of the material, with its instantaneous Young's modulus in Pa.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to Estimate
+        Its parameters in SI units, by name.
+    specimen : Specimen
+        What was pressed.
+    shortest_time : float, optional
+        See `hapticvision_ros.core.relaxation.prony_series` [s].
+    point : {'rest', 'reference'}, optional
+        Where a nonlinear model is linearised.
+
+    Returns
+    -------
+    PronySeries
+        The series.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown, the model is nonlinear and no point is given, or a shortest time
+        is missing.
+
+    """
+    relaxation = relaxation_function(model, known_values(model, parameters), point)
+    return prony_series(relaxation, shortest_time, specimen.modulus)

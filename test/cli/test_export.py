@@ -1,0 +1,178 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The verb `export`: from a result.json to each format, and what it refuses."""
+
+import json
+from pathlib import Path
+import subprocess
+import sys
+
+from hapticvision_ros.cli.main import main
+import pytest
+
+SIZE = ['--area', '20cm2', '--height', '40mm']
+FINITE_ELEMENTS = [*SIZE, '--poisson', '0.45']
+
+
+def _parameter(value: float | None, unit: str, std: float | None = None) -> dict:
+    return {'value': value, 'std': std, 'unit': unit, 'identifiable': value is not None}
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> Path:
+    """Return a result with a base model and one with what it lacked."""
+    path = tmp_path / 'result.json'
+    base = {
+        'K1': _parameter(1500.0, 'N/m'),
+        'C1': _parameter(1600.0, 'N.s/m'),
+        'C2': _parameter(None, 'N.s/m'),
+    }
+    better = {
+        'K1': _parameter(2000.0, 'N/m', 20.0),
+        'C1': _parameter(1600.0, 'N.s/m', 8.0),
+        'C2': _parameter(2400.0, 'N.s/m', 12.0),
+        'F_y': _parameter(6.0, 'N', 0.1),
+    }
+    document = {
+        'schema': 'hapticvision/result/1',
+        'before': {'model': 'three-element', 'parameters': base},
+        'after': {'model': 'three-element+yield_force', 'parameters': better},
+        'warnings': ['C2 is unknown: the best fit is a body that does not flow'],
+    }
+    path.write_text(json.dumps(document))
+    return path
+
+
+def _export(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    assert main(['export', *map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_better_model_is_exported_with_its_errors(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads(_export(capsys, result, '--format', 'json', *SIZE))
+    assert document['model'] == 'three-element+yield_force'
+    assert document['material']['K1'] == {
+        'symbol': 'E1',
+        'value': 40e3,
+        'std': 400.0,
+        'unit': 'Pa',
+        'reason': None,
+    }
+    assert document['material']['F_y']['value'] == 3e3
+
+
+def test_the_size_may_come_in_si(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    same = ['--area', '2e-3', '--height', '0.04']
+    texts = [_export(capsys, result, '--format', 'json', *size) for size in (SIZE, same)]
+    assert texts[0] == texts[1]
+
+
+def test_finite_element_formats_go_to_a_file(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [*FINITE_ELEMENTS, '--linearise', 'reference', '--shortest-time', '0.01']
+    for name, keyword in (('abaqus', '*VISCOELASTIC, TIME=PRONY'), ('ansys', 'TB,PRONY,1,1,2')):
+        out = tmp_path / f'material.{name}'
+        said = _export(capsys, result, '--format', name, *options, '--out', out)
+        assert said == f'Wrote {out}.\n'
+        text = out.read_text()
+        assert keyword in text
+        assert 'linearised at: reference' in text
+        assert 'nothing faster than 0.01 s is resolved' in text
+
+
+def test_an_unknown_parameter_of_the_base_model_is_null_with_its_reason(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = _export(capsys, result, '--format', 'json', '--which', 'before')
+    assert json.loads(text)['parameters']['C2'] == {
+        'value': None,
+        'std': None,
+        'unit': 'N.s/m',
+        'reason': 'the best fit is a body that does not flow',
+    }
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'says'),
+    [
+        (['--format', 'csv'], 'choose the point at which to linearise it'),
+        (['--format', 'csv', '--which', 'before'], 'the trials do not tell C2'),
+        (['--format', 'abaqus', *SIZE], 'needs --area, --height and --poisson'),
+        (['--format', 'abaqus', '--poisson', '0.4'], 'needs --area, --height and --poisson'),
+        (['--format', 'json', '--area', '20cm2'], 'belong together'),
+        (['--format', 'json', '--area', '20kg', '--height', '1'], "--area '20kg' is no size"),
+        (['--format', 'json', '--area', '1', '--height', '0mm'], "--height '0mm' is no size"),
+        (
+            ['--format', 'ansys', *FINITE_ELEMENTS, '--linearise', 'reference'],
+            'name the shortest time',
+        ),
+        (
+            ['--format', 'ansys', *FINITE_ELEMENTS, '--linearise', 'rest', '--shortest-time', '0'],
+            'must be above zero',
+        ),
+        (['--format', 'json', '--out', '/nowhere/export.json'], 'choose another --out'),
+    ],
+)
+def test_what_cannot_be_exported_is_told_in_one_sentence(
+    result: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(result), *arguments]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ''
+    assert says in shown.err
+    assert shown.err.count('\n') == 1
+
+
+@pytest.mark.parametrize(
+    ('text', 'says'),
+    [
+        (None, 'cannot be read'),
+        ('{', 'is no JSON'),
+        ('[]', 'is no result'),
+        ('{"schema": "hapticvision/result/2"}', 'is no result'),
+        ('{"schema": "hapticvision/result/1", "before": null}', "no model 'before'"),
+        (
+            '{"schema": "hapticvision/result/1", "warnings": [],'
+            ' "before": {"model": "three-element", "parameters": {"K1": {"value": 1}}}}',
+            'does not hold the parameters',
+        ),
+    ],
+)
+def test_a_file_that_is_no_result_is_told_in_one_sentence(
+    tmp_path: Path, text: str | None, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'result.json'
+    if text is not None:
+        path.write_text(text)
+    assert main(['export', str(path), '--format', 'json']) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count('\n') == 1
+
+
+def test_arguments_are_checked_without_numerics() -> None:
+    code = (
+        'import sys\n'
+        'from hapticvision_ros.cli.main import main\n'
+        "assert main(['export', 'a', '--format', 'stone']) == 2\n"
+        "sys.exit('numpy' in sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code], stderr=subprocess.DEVNULL, timeout=60, check=False
+    )
+    assert done.returncode == 0

@@ -1,0 +1,256 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Exports: the same numbers come back out of each format, in units of the material."""
+
+import xml.etree.ElementTree as ElementTree
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.export import (
+    abaqus,
+    ansys,
+    csv,
+    document,
+    finite_element_series,
+    links,
+    material_quantities,
+    mujoco,
+    Specimen,
+)
+from hapticvision_ros.core.records import Estimate
+from hapticvision_ros.core.relaxation import relaxation_function
+import numpy as np
+import pytest
+
+DOUGH = {
+    'K1': Estimate(2000.0, 20.0),
+    'C1': Estimate(1600.0, 8.0),
+    'C2': Estimate(2400.0, None),
+}
+BURGERS = DOUGH | {'K_0': Estimate(8000.0), 'K_p': Estimate(50.0)}
+BURGERS_MODEL = Model(('series_spring', 'parallel_spring'))
+BLOCK = Specimen(area=0.002, height=0.040)
+T = np.geomspace(1e-3, 1e2, 40)
+
+
+def _values(parameters: dict[str, Estimate]) -> dict[str, float]:
+    return {name: estimate.value for name, estimate in parameters.items() if estimate.known}
+
+
+def _relaxation_of(modulus: float, pairs: list[tuple[float, float]]) -> np.ndarray:
+    """Return E(t) as the manuals define it: E0 (1 - sum g_i (1 - exp(-t / tau_i)))."""
+    return modulus * (1.0 - sum(g * (1.0 - np.exp(-T / tau)) for g, tau in pairs))
+
+
+def test_a_modulus_is_the_stiffness_times_height_over_area_and_so_is_its_error() -> None:
+    model = Model(('yield_force', 'strain_stiffening'))
+    parameters = DOUGH | {'F_y': Estimate(6.0, 0.1), 'beta': Estimate(1e4, 1e3)}
+    found = material_quantities(model, parameters, BLOCK)
+    assert found['K1'].symbol == 'E1'
+    assert found['K1'].unit == 'Pa'
+    assert found['K1'].estimate == Estimate(pytest.approx(40e3), pytest.approx(400.0))
+    assert found['C1'].symbol == 'eta1'
+    assert found['C1'].estimate == Estimate(pytest.approx(32e3), pytest.approx(160.0))
+    assert found['C2'].estimate == Estimate(pytest.approx(48e3), None)
+    assert found['F_y'].symbol == 'sigma_y'
+    assert found['F_y'].estimate == Estimate(pytest.approx(3e3), pytest.approx(50.0))
+    # z / h in place of z: beta z^2 = (beta h^2) (z / h)^2.
+    assert found['beta'].estimate == Estimate(pytest.approx(16.0), pytest.approx(1.6))
+
+
+def test_the_moduli_are_those_of_the_material_whatever_the_specimen() -> None:
+    # Two blocks of one material: K and C go with A / h, and moduli do not.
+    large = Specimen(area=0.008, height=0.020)
+    ratio = BLOCK.modulus / large.modulus
+    scaled = {name: Estimate(ratio * estimate.value) for name, estimate in DOUGH.items()}
+    of_small = material_quantities(Model(), DOUGH, BLOCK)
+    of_large = material_quantities(Model(), scaled, large)
+    for name in DOUGH:
+        assert of_large[name].estimate.value == pytest.approx(of_small[name].estimate.value)
+
+
+def test_each_parameter_of_each_effect_has_a_form_or_a_reason() -> None:
+    without = set()
+    for effect in EFFECTS:
+        model = Model((effect.name,))
+        parameters = {name: Estimate(1.0, 0.1) for name in model.names}
+        for name in model.names[3:]:
+            quantity = material_quantities(model, parameters, BLOCK)[name]
+            if quantity.estimate.known:
+                assert quantity.symbol and quantity.unit
+            else:
+                assert quantity.estimate.reason
+                assert quantity.symbol is None
+                without.add(effect.name)
+    no_objects = {name for name, effect in BY_NAME.items() if effect.kind != 'object'}
+    assert without == no_objects | {'inertia', 'adhesion'}
+
+
+def test_an_unknown_parameter_stays_unknown_with_its_reason() -> None:
+    parameters = DOUGH | {'C2': Estimate.unknown('the body does not flow')}
+    quantity = material_quantities(Model(), parameters, BLOCK)['C2']
+    assert quantity.estimate == Estimate.unknown('the body does not flow')
+    whole = document(Model(), parameters, BLOCK)
+    assert whole['relaxation'] is None
+    assert 'the body does not flow' in whole['reasons']['relaxation']
+
+
+@pytest.mark.parametrize(('area', 'height'), [(0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)])
+def test_a_specimen_has_a_size(area: float, height: float) -> None:
+    with pytest.raises(UsageError, match='above zero'):
+        Specimen(area, height)
+
+
+def test_abaqus_lines_give_the_relaxation_of_the_chain_back() -> None:
+    series = finite_element_series(BURGERS_MODEL, BURGERS, BLOCK)
+    lines = abaqus(series, 0.45, ('a remark',)).splitlines()
+    assert lines[0] == '** a remark'
+    lines = [line for line in lines if not line.startswith('**')]
+    assert lines[1] == '*ELASTIC, MODULI=INSTANTANEOUS'
+    modulus, poisson = map(float, lines[2].split(','))
+    assert lines[3] == '*VISCOELASTIC, TIME=PRONY'
+    terms = [tuple(map(float, line.split(','))) for line in lines[4:]]
+    assert poisson == 0.45
+    assert all(g == k for g, k, _ in terms)
+    relaxation = relaxation_function(BURGERS_MODEL, _values(BURGERS))
+    expected = BLOCK.modulus * relaxation(T)
+    # Ten digits are printed; what is left in the long run is 1 less their sum.
+    found = _relaxation_of(modulus, [(g, tau) for g, _, tau in terms])
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_ansys_pairs_are_those_of_abaqus_in_commands_of_six_numbers() -> None:
+    model = Model(('springpot',))
+    parameters = DOUGH | {'alpha': Estimate(0.5)}
+    series = finite_element_series(model, parameters, BLOCK)
+    pairs: dict[str, list[float]] = {}
+    for line in ansys(series, 0.45).splitlines():
+        command, *fields = line.split(',')
+        if command == 'TB':
+            part = fields[-1]
+            assert fields[:4] == ['PRONY', '1', '1', str(series.ratio.size)]
+            pairs[part] = []
+        elif command == 'TBDATA':
+            assert int(fields[0]) == len(pairs[part]) + 1
+            assert len(fields) <= 7
+            pairs[part] += map(float, fields[1:])
+        elif line.startswith('MP,EX'):
+            modulus = float(fields[-1])
+    assert pairs['SHEAR'] == pairs['BULK']
+    terms = list(zip(pairs['SHEAR'][::2], pairs['SHEAR'][1::2], strict=True))
+    expected = BLOCK.modulus * relaxation_function(model, _values(parameters))(T)
+    # The slowest of its branches are 1e-6 of the modulus at once: of their ten decimals few count.
+    assert _relaxation_of(modulus, terms) == pytest.approx(expected, rel=1e-3)
+
+
+def test_printed_ratios_never_add_up_to_more_than_one() -> None:
+    # A code refuses a material that is pushed back by its own long-term modulus.
+    for K_0 in np.geomspace(2.1e3, 9.7e6, 50):
+        parameters = DOUGH | {'K_0': Estimate(float(K_0))}
+        text = abaqus(finite_element_series(Model(('series_spring',)), parameters, BLOCK), 0.3)
+        assert 'the body flows' in text
+        terms = text.partition('TIME=PRONY\n')[2].splitlines()
+        assert sum(float(line.split(',')[0]) for line in terms) <= 1.0
+
+
+@pytest.mark.parametrize('poisson', [0.5, -1.0, np.nan])
+def test_a_poisson_ratio_without_a_bulk_modulus_is_refused(poisson: float) -> None:
+    series = finite_element_series(BURGERS_MODEL, BURGERS, BLOCK)
+    for write in (abaqus, ansys):
+        with pytest.raises(UsageError, match="Poisson's ratio"):
+            write(series, poisson)
+
+
+def test_the_table_adds_up_to_the_relaxation_function() -> None:
+    model = Model(('parallel_spring',))
+    parameters = DOUGH | {'K_p': Estimate(50.0)}
+    rows = [
+        line.split(',')
+        for line in csv(relaxation_function(model, _values(parameters))).splitlines()[1:]
+    ]
+    assert rows[0] == ['50.0', '', '']
+    assert rows[1][0] == rows[1][2] == ''
+    assert float(rows[1][1]) == pytest.approx(960.0)
+    stiffness, viscosity, time = map(float, rows[2])
+    assert viscosity == pytest.approx(stiffness * time)
+    assert (stiffness, time) == pytest.approx((720.0, 2.0))
+
+
+def test_links_in_series_have_the_compliance_of_the_chain() -> None:
+    model = Model(('series_spring', 'second_retardation', 'yield_force', 'inertia', 'adhesion'))
+    values = _values(DOUGH) | {
+        'K_0': 8000.0,
+        'K_2': 5000.0,
+        'C_3': 300.0,
+        'F_y': 6.0,
+        'M': 0.2,
+        'F_ad': 0.5,
+    }
+    found = links(model, values)
+    s = 0.7j
+    compliance = sum(
+        1.0 / (link['stiffness_N_m'] + s * link['damping_Ns_m']) for link in found['in_series']
+    )
+    expected = 1 / 8000 + 1 / (2000 + 1600 * s) + 1 / (5000 + 300 * s) + 1 / (2400 * s)
+    assert compliance == pytest.approx(expected)
+    assert found['in_series'][-1]['dry_friction_N'] == 6.0
+    assert (found['mass_kg'], found['pull_off_force_N']) == (0.2, 0.5)
+    assert found['laws'] == {}
+
+
+def test_what_constant_numbers_cannot_hold_comes_with_its_law() -> None:
+    model = Model(('shear_thinning',))
+    values = _values(DOUGH) | {'n': 0.5}
+    assert links(model, values)['laws']['shear_thinning']['parameters'] == {'n': 0.5}
+    with pytest.raises(UsageError, match='cannot hold shear_thinning'):
+        mujoco(model, values)
+
+
+def test_a_mujoco_model_is_the_links_one_in_another() -> None:
+    model = Model(('series_spring', 'parallel_spring', 'yield_force', 'inertia'))
+    values = _values(BURGERS) | {'F_y': 6.0, 'M': 0.2}
+    root = ElementTree.fromstring(mujoco(model, values))
+    names, body = [], root.find('worldbody/body')
+    while body is not None:
+        joint, mass = body.find('joint'), float(body.find('inertial').get('mass'))
+        names.append((body.get('name'), joint.get('name')))
+        innermost, body = body, body.find('body')
+    assert names == [('flow', 'flow'), ('retarded', 'retarded'), ('surface', 'instantaneous')]
+    assert innermost.get('name') == 'surface'
+    assert mass > 0.2
+    flow = root.find('.//joint[@name="flow"]')
+    assert (flow.get('stiffness'), flow.get('damping'), flow.get('frictionloss')) == (
+        '0',
+        '2400',
+        '6',
+    )
+    tendon = root.find('tendon/fixed')
+    assert tendon.get('stiffness') == '50'
+    assert [joint.get('joint') for joint in tendon] == ['flow', 'retarded', 'instantaneous']
+
+
+def test_the_document_says_why_a_nonlinear_body_has_no_relaxation_function() -> None:
+    model = Model(('yield_force',))
+    parameters = DOUGH | {'F_y': Estimate(6.0, 0.1)}
+    refused = document(model, parameters)
+    assert refused['relaxation'] is refused['material'] is None
+    assert 'yield_force' in refused['reasons']['relaxation']
+    assert 'not given' in refused['reasons']['material']
+    assert refused['links']['in_series'][-1]['dry_friction_N'] == 6.0
+    at_rest = document(model, parameters, BLOCK, 'rest')
+    assert at_rest['relaxation']['linearised_at'] == 'rest'
+    assert at_rest['relaxation']['long_term_N_m'] == pytest.approx(2000.0)
+    assert at_rest['reasons'] == {}
