@@ -29,6 +29,7 @@ PRONY); MuJoCo XML Reference, joint (stiffness, damping, frictionloss).
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import batched
 import math
 from typing import Any, Final
 
@@ -433,8 +434,8 @@ def ansys(series: PronySeries, poisson: float, remarks: Sequence[str] = ()) -> s
         lines.append(f'TB,PRONY,1,1,{len(pairs)},{part}')
         # A command takes six numbers.
         lines += [
-            f'TBDATA,{1 + 2 * first},{",".join(pairs[first : first + 3])}'
-            for first in range(0, len(pairs), 3)
+            f'TBDATA,{1 + 6 * number},{",".join(three)}'
+            for number, three in enumerate(batched(pairs, 3))
         ]
     return '\n'.join(lines) + '\n'
 
