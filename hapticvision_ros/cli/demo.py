@@ -26,6 +26,7 @@ from datetime import datetime
 import os
 from pathlib import Path
 import random
+import shutil
 import time
 from typing import Final
 
@@ -58,6 +59,10 @@ INTERRUPTED: Final = 130
 LARGEST_DOMAIN: Final = 101
 """The ports of larger ROS domains may collide with the system's own."""
 ENOUGH_TO_HOLD_OUT: Final = 3
+RUN: Final = '%Y%m%d-%H%M%S'
+"""Name of a run's folder: when it began."""
+RUNS_KEPT: Final = 3
+"""Runs whose folders are kept, the newest among them: each has some 150 MB of clouds."""
 
 
 class DemoError(HapticVisionError):
@@ -73,7 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path('out', 'demo'),
         metavar='DIR',
-        help='where each run makes a folder of its own (default: out/demo)',
+        help=f'where each run makes a folder of its own (default: out/demo); the last {RUNS_KEPT} '
+        'are kept, older ones are deleted',
     )
     parser.add_argument(
         '--silicone',
@@ -92,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo and return the exit code."""
     began = time.monotonic()
     measured = _silicone_csv(args.silicone)
-    out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
+    _delete_old_runs(args.out)
+    out = args.out / datetime.now().astimezone().strftime(RUN)
     code = _experiment(out, args.domain)
     if code == INTERRUPTED:
         return code
@@ -124,6 +131,23 @@ def run(args: argparse.Namespace) -> int:
     for path in written:
         print(f'  {path}')
     return 0
+
+
+def _delete_old_runs(folder: Path) -> None:
+    """Delete the folders of all runs but the last ones, to which another is about to come."""
+    runs = sorted(path for path in folder.glob('*') if _is_run(path))
+    for path in runs[: len(runs) + 1 - RUNS_KEPT]:
+        shutil.rmtree(path, ignore_errors=True)
+        print(f'Deleted the old run {path}: the last {RUNS_KEPT} are kept.', flush=True)
+
+
+def _is_run(path: Path) -> bool:
+    """Return whether a folder has been made by a run of the demo."""
+    try:
+        datetime.strptime(path.name, RUN)
+    except ValueError:
+        return False
+    return not path.is_symlink() and all((path / 'config' / n).is_file() for n in OWN_PARAMETERS)
 
 
 def _experiment(out: Path, domain: int | None) -> int:

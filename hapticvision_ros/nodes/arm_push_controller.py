@@ -56,7 +56,6 @@ from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_service, create_subscription
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.sim.devices import connect_arm
-from rclpy.duration import Duration
 
 NAME: Final = 'arm_push_controller'
 
@@ -227,7 +226,6 @@ _LIMIT_PARAMETERS: Final = (
     'stop_lead',
 )
 _IDLE_WAIT: Final = 0.1
-_LAST_WORDS: Final = 1.0
 
 
 class ArmPushController(CellNode):
@@ -270,8 +268,6 @@ class ArmPushController(CellNode):
             control.abort('The controller ends.', time.monotonic())
             self._publish(Command(0.0, control.phase))
         self._arm.close()
-        # A publisher that is destroyed takes along what it has not sent yet.
-        self._phase.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
 
     def _listen(self) -> None:
         while not self.stopping.is_set():

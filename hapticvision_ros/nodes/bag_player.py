@@ -53,6 +53,7 @@ from hapticvision_ros.nodes.qos import (
     relative_name,
 )
 from hapticvision_ros.nodes.rheology_fitter import SYMBOLS, TRIAL
+from hapticvision_ros.nodes.runtime import deliver
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
@@ -106,7 +107,8 @@ class BagPlayer:
         self._ended = False
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph, once what was played has arrived."""
+        deliver(self._node)
         self._executor.shutdown()
         self._node.destroy_node()
 

@@ -163,7 +163,8 @@ PARAMETERS: Final = (
     ),
 )
 
-_CLOSE_TIMEOUT: Final = 5.0
+_CLOSE_TIMEOUT: Final = 2.0
+_STOPPED: Final = 'the orchestrator was stopped'
 _LEVELS: Final = {
     GoalStatus.SUCCEEDED: DiagnosticStatus.OK,
     GoalStatus.CANCELED: DiagnosticStatus.WARN,
@@ -269,19 +270,28 @@ class ExperimentOrchestrator(CellNode):
         )
 
     def close(self) -> None:
-        """Stop a running push, and finish its bag."""
-        experiment, recording = self._experiment, self._recording
+        """Stop a running push, finish its bag, and tell how the experiment ended."""
+        experiment = self._experiment
         if experiment is not None and not experiment.status.terminal:
-            client = self._clients_of[STOP.name]
-            if client.service_is_ready():
-                client.call_async(Trigger.Request())
-            experiment.reason = 'the orchestrator was stopped'
-        if recording is not None:
-            recording.close(
-                {'outcome': 'aborted', 'reason': 'the orchestrator was stopped'}, '_aborted'
-            )
-            recording.join(_CLOSE_TIMEOUT)
+            experiment.failed(_STOPPED, time.monotonic())
+            end = time.monotonic() + _CLOSE_TIMEOUT
+            while not experiment.status.terminal and time.monotonic() < end:
+                self.executor.spin_once(timeout_sec=0.1)
+            self._give_up(experiment)
         super().close()
+
+    def _give_up(self, experiment: Experiment) -> None:
+        """End an experiment whose other nodes have gone too."""
+        recording = self._recording
+        if recording is not None:
+            recording.close({'outcome': Outcome.ABORTED.value}, f'_{Outcome.ABORTED.value}')
+            recording.join(_CLOSE_TIMEOUT)
+        while not experiment.status.terminal:
+            now = time.monotonic()
+            if experiment.step is Step.FINISH:
+                self._finish(experiment, now)
+            experiment.failed(_STOPPED, now)
+            self._report(experiment, now)
 
     # -- the action's services ------------------------------------------------------------------
 

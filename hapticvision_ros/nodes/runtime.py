@@ -23,12 +23,14 @@ from collections.abc import Callable, Sequence
 import signal
 import sys
 import threading
+import time
 from typing import Any, Final
 
 from hapticvision_ros.core.errors import HapticVisionError, UsageError
 from hapticvision_ros.nodes.parameters import Parameters, ParameterSpec
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -38,6 +40,9 @@ STOP_POLL: Final = 0.1
 
 THREAD_JOIN_TIMEOUT: Final = 5.0
 """Longest time that a node's thread may take to see that the node stops [s]."""
+
+LAST_WORDS: Final = 3.0
+"""Longest time that a node that stops waits for those who listen to it [s]."""
 
 
 class CellNode(Node):  # type: ignore[misc]
@@ -96,13 +101,33 @@ class CellNode(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """
-        Stop the node's threads; ROS still runs.
+        Stop the node's threads; ROS still runs, and so does `executor`.
 
         A node that owns a device extends this: first this, then the device's own ``close``.
         """
         self.stopping.set()
         for thread in self._threads:
             thread.join(THREAD_JOIN_TIMEOUT)
+
+
+def deliver(node: Node) -> None:
+    """
+    Wait until all that a node has published is with those who listen reliably.
+
+    To be called before the node is destroyed. That a publisher has gone is told over another
+    channel than what it has published: a listener that is just held up may hear of it first, and
+    then drops the rest.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node; it waits for `LAST_WORDS` at most.
+
+    """
+    end = time.monotonic() + LAST_WORDS
+    for publisher in node.publishers:
+        left = max(0.0, end - time.monotonic())
+        publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def run(factory: Callable[[], CellNode], args: Sequence[str] | None = None) -> int:
@@ -169,6 +194,7 @@ def _spin(factory: Callable[[], CellNode], interrupted: threading.Event) -> None
             executor.spin_once()
     finally:
         node.close()
+        deliver(node)
         executor.shutdown()
         node.destroy_node()
     if node.failure is not None:

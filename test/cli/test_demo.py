@@ -196,6 +196,26 @@ def test_a_measured_csv_goes_through_the_importer_and_the_fit(
     assert 'Imported' in capsys.readouterr().out
 
 
+def test_only_the_last_runs_are_kept_and_nothing_else_is_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [tmp_path / f'2026010{day}-120000' for day in range(1, 6)]
+    for run in runs:
+        demo._write_config(run / 'config')
+        (run / 'bags').mkdir()
+    others = [tmp_path / '20250101-120000', tmp_path / 'mine']
+    for folder in others:
+        folder.mkdir()
+        (folder / 'notes.txt').touch()
+    demo._delete_old_runs(tmp_path)
+    # With the one that is about to begin, three.
+    assert sorted(tmp_path.iterdir()) == sorted([*runs[3:], *others])
+    assert capsys.readouterr().out.count('Deleted the old run') == 3
+    demo._delete_old_runs(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 4
+    demo._delete_old_runs(tmp_path / 'nowhere')
+
+
 def test_a_named_folder_without_data_is_told_before_anything_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

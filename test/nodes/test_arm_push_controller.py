@@ -14,7 +14,9 @@
 
 """The arm push controller as a process, with load cell driver, on the simulated cell."""
 
-import time
+import signal
+import subprocess
+import sys
 
 from hapticvision_ros.bag.contract import (
     CONTACT_POINT,
@@ -36,11 +38,13 @@ QUICK_PUSH = {
     'depth': 0.004,
     'hold_time': 0.5,
     'recover_time': 0.3,
-    'release_speed': 0.03,
+    # A starved controller is stopped by the arm's watchdog, within 0.1 s: 1.5 mm.
+    'release_speed': 0.015,
     # Other tests and builds may hold up these processes for some tenths of a second.
     'stale_time': 0.5,
 }
 BLOCK_HEIGHT = 0.040
+SURFACE = point_to_message((0.0, 0.0, BLOCK_HEIGHT), 0, CONTACT_POINT.frame_id)
 SPRING1_STIFFNESS = 3628.4605
 
 
@@ -64,34 +68,21 @@ def texts(messages):
     return [message.data for message in messages]
 
 
-def start_push(probe, until):
-    assert probe.call(ENABLE, SetBool.Request(data=True)).success
-
-    def started():
-        answer = probe.call(PUSH, Trigger.Request())
-        # The first readings may still be on their way; anything else is final.
-        assert answer.success or 'within the last' in answer.message, answer.message
-        return answer.success
-
-    until(started, 'a start with fresh readings')
-
-
 def test_a_push_goes_through_its_phases_at_the_commanded_speed_and_depth(controller, probe, until):
     phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
     wrenches, velocities = probe.listen(WRENCH), probe.listen(PUSH_VELOCITY)
-    (result,) = probe.set_parameters('arm_push_controller', {'push_speed': 0.004})
+    (result,) = probe.set_parameters('arm_push_controller', {'push_speed': 0.002})
     assert result.successful, result.reason
-    surface = point_to_message((0.0, 0.0, BLOCK_HEIGHT), 0, CONTACT_POINT.frame_id)
-    probe.send(CONTACT_POINT, surface)
-    start_push(probe, until)
+    probe.send(CONTACT_POINT, SURFACE)
+    probe.start_push()
     until(lambda: 'done' in texts(phases), 'the end of the push', 30.0)
     assert texts(phases) == ['approach', 'push', 'hold', 'release', 'recover', 'done']
     # Fast in air, at the push speed from the gap above the planned surface on.
-    assert texts(velocities) == [0.0, 0.01, 0.004, 0.0, -0.03, 0.0]
+    assert texts(velocities) == [0.0, 0.01, 0.002, 0.0, -0.015, 0.0]
     heights = np.array(texts(tool))
     forces = np.array([contact_force(message) for message in wrenches])
     depth = BLOCK_HEIGHT - heights.min()
-    # The touch is noticed at 0.2 N (0.06 mm); 0.1 s of latency on a loaded machine is 0.4 mm.
+    # The touch is noticed at 0.2 N (0.06 mm); 0.2 s of latency on a loaded machine is 0.4 mm.
     assert 0.004 <= depth < 0.0045
     zero = np.median(forces[:100])
     # A spring holds its force; the largest of some thousand readings with 0.022 N of noise.
@@ -136,20 +127,19 @@ def test_a_stopped_push_retracts_and_ends_as_aborted(controller, probe, until, h
     assert result.successful, result.reason
     until(lambda: tool, 'the tool height')
     start = tool[-1].data
-    start_push(probe, until)
+    probe.start_push()
     until(lambda: 'hold' in texts(phases), 'the hold')
     refused = probe.call(PUSH, Trigger.Request())
     assert not refused.success and 'already' in refused.message
     (result,) = probe.set_parameters('arm_push_controller', {'depth': 0.002})
     assert not result.successful and 'A push is running' in result.reason
-    began = time.monotonic()
     if how == 'stop':
         answer = probe.call(STOP, Trigger.Request())
     else:
         answer = probe.call(ENABLE, SetBool.Request(data=False))
     assert answer.success
-    # A service never waits for the motion, which takes more than a second here.
-    assert time.monotonic() - began < 1.0
+    # A service never waits for the motion, which takes about three seconds here.
+    assert start - tool[-1].data > 0.01
     until(lambda: texts(phases)[-1] == 'aborted', 'the abort')
     # Back where it came from, within the braking distance.
     until(lambda: abs(tool[-1].data - start) < 0.002, 'the retraction')
@@ -163,7 +153,7 @@ def test_a_lost_load_cell_aborts_the_push_and_retracts_the_tool(
     start = tool[-1].data
     (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
     assert result.successful, result.reason
-    start_push(probe, until)
+    probe.start_push()
     until(lambda: 'hold' in texts(phases), 'the hold')
     load_cell.stop()
     until(lambda: texts(phases)[-1] == 'aborted', 'the abort')
@@ -174,18 +164,61 @@ def test_a_lost_load_cell_aborts_the_push_and_retracts_the_tool(
 def test_too_large_a_force_aborts_the_push(start_node, world, load_cell, probe, until):
     start_node(
         'arm_push_controller',
-        {'simulated_world_port': world.port, **QUICK_PUSH, 'max_force': 5.0},
+        {
+            'simulated_world_port': world.port,
+            **QUICK_PUSH,
+            'push_speed': 0.002,
+            'max_force': 5.0,
+        },
     )
     phases, wrenches = probe.listen(PHASE), probe.listen(WRENCH)
-    start_push(probe, until)
+    probe.send(CONTACT_POINT, SURFACE)
+    probe.start_push()
     until(lambda: texts(phases) and texts(phases)[-1] == 'aborted', 'the abort')
-    # 36 N/s at this speed: the loop of 4 ms and some tens of milliseconds on a loaded machine.
+    # 7.3 N/s at this speed: the loop of 4 ms, and 0.4 s of latency on a loaded machine.
     assert max(contact_force(message) for message in wrenches) < 8.0
+
+
+LISTENER = """
+import rclpy
+from hapticvision_ros.bag.contract import PHASE
+from hapticvision_ros.nodes.qos import create_subscription
+rclpy.init()
+node = rclpy.create_node('listener')
+create_subscription(node, PHASE, lambda message: print(message.data, flush=True))
+rclpy.spin(node)
+"""
+
+
+def test_the_last_words_reach_a_listener_that_is_held_up(controller, probe, until, tmp_path):
+    # Told first that the controller has gone, it would drop what the controller has said last.
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    heard = tmp_path / 'heard'
+    with (
+        heard.open('w') as output,
+        subprocess.Popen([sys.executable, '-c', LISTENER], stdout=output) as listener,
+    ):
+        try:
+            probe.start_push()
+            until(lambda: 'push' in heard.read_text(), 'the push')
+            listener.send_signal(signal.SIGSTOP)
+            controller.send_signal(signal.SIGINT)
+            with pytest.raises(subprocess.TimeoutExpired):
+                controller.wait(1.0)
+            listener.send_signal(signal.SIGCONT)
+            assert controller.wait() == 0
+            until(lambda: 'aborted' in heard.read_text(), 'the last words')
+        finally:
+            listener.kill()
 
 
 def test_a_stopped_controller_stops_the_arm_and_says_so(controller, probe, until):
     phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
-    start_push(probe, until)
+    # It must not be over before it is stopped, however late that comes.
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    probe.start_push()
     until(lambda: 'push' in texts(phases), 'the push')
     assert controller.stop() == 0
     until(lambda: texts(phases)[-1] == 'aborted', 'the last words')

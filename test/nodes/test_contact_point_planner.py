@@ -26,6 +26,8 @@ import pytest
 from std_srvs.srv import Trigger
 
 TOP = 0.04
+DEADLINE = 60.0
+"""For three clouds, of which many may be lost on a loaded machine [s]."""
 
 
 def top_view(*blocks, seed=0):
@@ -42,7 +44,8 @@ def top_view(*blocks, seed=0):
 
 @pytest.fixture
 def planner(start_node):
-    return start_node('contact_point_planner', {'cloud_timeout': 1.0})
+    # Clouds of this size lose their way on a loaded machine; three of them must get through.
+    return start_node('contact_point_planner', {'cloud_timeout': 20.0})
 
 
 @pytest.fixture
@@ -66,7 +69,7 @@ def show(probe):
 
 def test_the_contact_point_lies_on_top_of_the_mass_centre(planner, probe, show, until):
     show(top_view((0.004, -0.003, 0.08, 0.05)))
-    answer = probe.call(PLAN, Trigger.Request())
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert answer.success, answer.message
     # Asked for after the plan was made: the topics are latched.
     points, directions = probe.listen(CONTACT_POINT), probe.listen(PUSH_DIRECTION)
@@ -91,13 +94,14 @@ def test_the_contact_point_lies_on_top_of_the_mass_centre(planner, probe, show, 
 )
 def test_what_cannot_be_pushed_is_refused_with_the_reason(planner, probe, show, blocks, sentence):
     show(top_view(*blocks))
-    answer = probe.call(PLAN, Trigger.Request())
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert not answer.success
     assert sentence in answer.message
 
 
-def test_without_clouds_the_plan_is_refused_in_time(planner, probe):
-    answer = probe.call(PLAN, Trigger.Request())
+def test_without_clouds_the_plan_is_refused_in_time(start_node, probe):
+    start_node('contact_point_planner', {'cloud_timeout': 1.0})
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert not answer.success
     assert 'No cloud came within 1 s' in answer.message
     # And the service still answers.
@@ -106,6 +110,6 @@ def test_without_clouds_the_plan_is_refused_in_time(planner, probe):
 
 def test_clouds_in_a_foreign_frame_are_refused(planner, probe, show):
     show(top_view((0.0, 0.0, 0.08, 0.05)), frame_id='camera')
-    answer = probe.call(PLAN, Trigger.Request())
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert not answer.success
     assert "frame 'camera'" in answer.message

@@ -38,9 +38,9 @@ from hapticvision_ros.nodes.conversions import values_from_status
 import pytest
 from std_srvs.srv import Trigger
 
-START = 60.0
+START = 120.0
 """Seven processes start on a machine that may have two processors [s]."""
-SLOW = 90.0
+SLOW = 180.0
 """A push of some seconds, on such a machine [s]."""
 
 
@@ -180,6 +180,28 @@ def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
     assert values['status'] == 'ABORTED'
     assert '/arm/tool_height has been silent' in results[-1].message
     assert len(read_trial(Path(values['bag 1'])).force) > 10
+
+
+def test_an_orchestrator_that_is_stopped_stops_the_arm_and_tells_how_the_experiment_ended(
+    cell, probe, until
+):
+    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
+    probe.set_parameters('experiment_orchestrator', {'hold_time': 60.0})
+    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert answer.success, answer.message
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, values_from_status(results[-1])
+    assert cell['experiment_orchestrator'].stop() == 0
+    until(lambda: results, 'the last words')
+    values = values_from_status(results[-1])
+    assert values['status'] == 'ABORTED'
+    assert results[-1].message == 'the orchestrator was stopped'
+    until(lambda: phases[-1].data == 'aborted', 'the end of the push')
+    bag = Path(values['bag 1'])
+    assert bag.name.endswith('_aborted')
+    assert len(read_trial(bag).force) > 10
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_once(start_node, probe):
