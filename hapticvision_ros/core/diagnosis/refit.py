@@ -22,7 +22,7 @@ its own residual most likely, so that a model is not preferred for what the nois
 
 from collections.abc import Sequence
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Final
 
@@ -56,6 +56,8 @@ _FACTORS: Final = (1.0, 0.1, 0.01, 10.0)
 """Strengths, over the first guess, that a search starts from."""
 _LOOKS: Final = 6
 _STEPS: Final = 30
+_SMALL: Final = 1e-3
+"""Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
 """Relative change of the squares that is none: below one in any campaign of a million samples."""
 
@@ -89,6 +91,16 @@ class Refit:
     deviance: float
     force_noise: SensorNoise
     height_noise: SensorNoise
+
+    def as_fit(self, like: Fit) -> Fit:
+        """Return a fit to start from, with everything else as in another."""
+        return replace(
+            like,
+            model=self.model,
+            noise=replace(like.noise, force=self.force_noise, height=self.height_noise),
+            problem=self.problem,
+            state=self.state,
+        )
 
     @property
     def theta(self) -> FloatArray:
@@ -283,12 +295,12 @@ class Workbench:
         problem = found.problem
         rows = [problem.records(found.state, index) for index in range(len(self.trials))]
         force_noise, height_noise = found.force_noise, found.height_noise
-        deviance = found.deviance
+        deviance = found.deviance - problem.scatter_price(found.state)
         left: list[tuple[FloatArray, FloatArray]] = []
         for turn in range(3 if again else 1):
             if turn:
                 force_noise, height_noise = self._most_likely(left, force_noise, height_noise)
-            whiteners = self._whiteners(force_noise, height_noise)
+            whiteners = self.whiteners(force_noise, height_noise)
             solution, squares, determinant, count = self._linear(
                 problem, found.state, rows, columns, whiteners
             )
@@ -301,7 +313,19 @@ class Workbench:
             height=tuple(curves @ each.height for each in columns),
         )
 
-    def _whiteners(
+    def guess(self, model: Model, near: Refit) -> tuple[Problem, FloatArray]:
+        """Return the problem of a model with more effects, at the first guess of these."""
+        problem = Problem(model, self.trials, self.scatter)
+        begin = carried(near.problem, near.state, problem)
+        added = [name for name in model.effects if name not in near.model.effects]
+        state = self._starts(problem, begin, near, added)[0]
+        if np.array_equal(state[: problem.p], begin[: problem.p]):
+            # What has no first guess is seen by a small step.
+            for k in places_of(model, added):
+                state[k] += _SMALL * max(abs(state[k]), 1.0)
+        return problem, state
+
+    def whiteners(
         self, force: SensorNoise, height: SensorNoise
     ) -> list[tuple[Whitener, Whitener | None]]:
         """Return what makes the noise of each trial white."""
@@ -432,7 +456,9 @@ class Workbench:
             problem=problem,
             state=solution.theta,
             cost=solution.cost,
-            deviance=solution.cost + problem.log_determinant,
+            deviance=solution.cost
+            + problem.log_determinant
+            + problem.scatter_price(solution.theta),
             force_noise=force,
             height_noise=height,
         )

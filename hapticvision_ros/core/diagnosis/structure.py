@@ -238,3 +238,21 @@ def _described(
         strength=math.sqrt(squares / all_samples) / noise,
         share=1.0 - after / before if before > 0.0 else 0.0,
     )
+
+
+def describe(found: Found) -> str:
+    """Return what is known of a curve as a sentence."""
+    unit, scale = ('N', 1.0) if found.curve.channel == 'force' else ('mm', 1e3)
+    what = 'force' if found.curve.channel == 'force' else 'displacement height'
+    since = {'push': 'touch', 'hold': 'stop', 'release': 'start of the release'}
+    begin = since.get(found.curve.phase, 'loss of contact')
+    along = f'with the {found.curve.along} since the {begin}'
+    size = {
+        'alike': 'the same in all trials',
+        'force': 'in proportion to the largest force of each trial',
+        'own': 'differently in each trial',
+    }[found.curve.size]
+    return (
+        f'{what}, {found.curve.phase}: {scale * found.rms:.3g} {unit} rms, '
+        f'{100.0 * found.share:.0f} % of the residual there, goes smoothly {along}, {size}'
+    )

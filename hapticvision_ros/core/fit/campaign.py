@@ -54,6 +54,7 @@ from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincc, gammaincinv
 
 _ROUNDS: Final = 4
 """Most rounds of noise and parameters."""
@@ -77,6 +78,8 @@ _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
+_NEIGHBOURS: Final = 64
+"""Places of a spectrum whose median is what noise makes there."""
 _FAST: Final = frozenset({'periodic_disturbance'})
 """Effects that live within the steps that a trial is averaged over."""
 
@@ -396,7 +399,7 @@ class Problem:
         """
         residuals, blocks, p = [], [], self.p
         for index, place in enumerate(self.places):
-            residual, jacobian = self._reduced(state, index)
+            residual, jacobian = self.reduced(state, index)
             if not np.isfinite(residual).all():
                 return np.array([math.inf]), np.zeros((1, self.size))
             block = np.zeros((residual.size, self.size))
@@ -416,13 +419,21 @@ class Problem:
             Reduced to the triangular factor, with what is known of the parameters beforehand.
 
         """
-        residual, jacobian = self._reduced(state, index)
+        residual, jacobian = self.reduced(state, index)
         if not np.isfinite(residual).all():
             return np.array([math.inf]), np.zeros((1, jacobian.shape[1] - self.p))
         return residual, jacobian[:, self.p :]
 
-    def _reduced(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
-        """Return residual and derivatives in the shared and the trial's own parameters."""
+    def reduced(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+        """
+        Return one trial's whitened residual, and derivatives in the shared and own parameters.
+
+        Returns
+        -------
+        residual, jacobian : ndarray, shapes (k,), (k, p + own)
+            Reduced to the triangular factor, with what is known of the parameters beforehand.
+
+        """
         trial, weights, place = self.trials[index], self._weights[index], self.places[index]
         force, height = self.records(state, index)
         rows = weights.force(force)
@@ -442,6 +453,29 @@ class Problem:
         # The onset is near the detected contact, and trials are alike.
         known = np.array([0, *range(self.q, self.q + self.scatter.size)], dtype=np.intp)
         return known, np.append(1.0 / trial.onset_std, 1.0 / self.scatter)
+
+    def scatter_price(self, state: FloatArray) -> float:
+        """
+        Return what the freedom of the trials to scatter costs in minus twice the log likelihood.
+
+        It is ``log det(I + S A^T A S)``, with the standard deviations S of the scatter and the
+        whitened derivatives A of each trial beyond those of its other own parameters (Laplace's
+        approximation of the integral over the scatter); zero without scatter.
+        """
+        total, k = 0.0, self.scatter.size
+        if not k:
+            return total
+        for index in range(len(self.trials)):
+            _, jacobian = self.reduced(state, index)
+            own = jacobian[: -k, self.p :]
+            chosen = np.zeros(own.shape[1], dtype=np.bool_)
+            chosen[self.q : self.q + k] = True
+            basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)
+            basis = basis[:, singular > 1e-12 * singular[0]]
+            rest = own[:, chosen] - basis @ (basis.T @ own[:, chosen])
+            scaled = rest * self.scatter
+            total += float(np.linalg.slogdet(np.eye(k) + scaled.T @ scaled)[1])
+        return total
 
     def priors(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what is known beforehand, as rows of a Jacobian (k, size), residuals (k,)."""
@@ -816,7 +850,7 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         reach = float(trial.displacement.max())
         early = float(np.interp(0.9 * reach, *_rising(trial, deepest)))
         speeds.append(0.9 * reach / max(early - trial.t_contact, trial.interval))
-    amplitude, frequency = _line_spectrum(problem, state)
+    line = line_spectrum(problem, state)
     return Scale(
         K1=float(K1),
         C1=float(C1),
@@ -827,8 +861,8 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         contact_time=float(np.median(contacts)),
         sampling_interval=trials[0].interval,
         campaign_time=max(trial.campaign_time for trial in trials),
-        disturbance_amplitude=amplitude,
-        disturbance_frequency=frequency,
+        disturbance_amplitude=line.amplitude,
+        disturbance_frequency=line.frequency,
     )
 
 
@@ -838,8 +872,27 @@ def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:
     return np.maximum.accumulate(trial.displacement[inside]), trial.t[inside]
 
 
-def _line_spectrum(problem: Problem, state: FloatArray) -> tuple[float, float]:
-    """Return amplitude [N] and frequency [Hz] of the strongest line in the residual force."""
+@dataclass(frozen=True, slots=True)
+class Line:
+    """
+    The strongest line in the spectrum of a residual force.
+
+    Parameters
+    ----------
+    amplitude, frequency : float
+        Of the sine [N, Hz].
+    chance : float
+        Probability that noise which is smooth in frequency shows such a line anywhere.
+
+    """
+
+    amplitude: float
+    frequency: float
+    chance: float
+
+
+def line_spectrum(problem: Problem, state: FloatArray) -> Line:
+    """Return the strongest line in the residual force of all trials."""
     total = np.empty(0)
     length = min(t.samples.force.size for t in problem.trials)
     for index, trial in enumerate(problem.trials):
@@ -849,12 +902,26 @@ def _line_spectrum(problem: Problem, state: FloatArray) -> tuple[float, float]:
         power = np.abs(np.fft.rfft(piece * np.hanning(length))) ** 2
         total = power if total.size == 0 else total + power
     total[:3] = 0.0
-    peak = int(np.argmax(total))
+    peak = int(np.argmax(total / _background(total)))
     places = np.arange(max(peak - 1, 0), min(peak + 2, total.size))
     around = total[places]
-    frequency = float(around @ places / around.sum()) / (length * problem.trials[0].interval)
-    amplitude = 4.0 * math.sqrt(float(total[peak]) / len(problem.trials)) / length
-    return amplitude, max(frequency, 1e-2)
+    weight = max(float(around.sum()), 1e-300)
+    frequency = float(around @ places / weight) / (length * problem.trials[0].interval)
+    count = len(problem.trials)
+    amplitude = 4.0 * math.sqrt(float(total[peak]) / count) / length
+    # The power of each trial has an exponential distribution, whose median tells its mean.
+    mean = float(_background(total)[peak]) / gammaincinv(count, 0.5)
+    chance = total.size * float(gammaincc(count, float(total[peak]) / max(mean, 1e-300)))
+    return Line(amplitude, max(frequency, 1e-2), min(chance, 1.0))
+
+
+def _background(power: FloatArray) -> FloatArray:
+    """Return the median of a spectrum around each of its places."""
+    size = max(min(_NEIGHBOURS, power.size // 4), 1)
+    blocks = power[: power.size // size * size].reshape(-1, size)
+    centres = (np.arange(blocks.shape[0]) + 0.5) * size
+    middle = np.interp(np.arange(power.size), centres, np.median(blocks, axis=1))
+    return np.maximum(middle, 1e-300)
 
 
 def _without_outliers(

@@ -1,0 +1,308 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+The closed loop: from a campaign to what the three-element model lacks, and the model with it.
+
+The base model is fitted; what trials differ among themselves is measured from repeats; effects are
+selected by refits; what is left is held against smooth curves; and the model with what was
+accepted is fitted again.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.likeness import left_out, pairs, Tangent, visible
+from hapticvision_ros.core.diagnosis.records import Candidate, Diagnosis, Status, Unexplained
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
+from hapticvision_ros.core.diagnosis.selection import (
+    eliminate,
+    LEAD,
+    Round,
+    select,
+    strength,
+)
+from hapticvision_ros.core.diagnosis.structure import describe, Found, look
+from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
+from hapticvision_ros.core.effects import EFFECTS
+from hapticvision_ros.core.fit.campaign import Fit, fit_prepared, line_spectrum, Segmented
+from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.records import FloatArray, Segmentation
+import numpy as np
+
+LOAD_CELL_GAIN: Final = 'load_cell_gain'
+"""Scales every stiffness and viscosity alike, so that no trial can show it."""
+_LINE: Final = 1e-4
+"""Chance below which a line in the residual's spectrum is looked at with every sample."""
+_SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
+"""Scatter of the trials that is tried where no push was repeated."""
+_FORM: Final = 0.15
+"""A rest below this share of the strongest effect may be its form, which is never exact."""
+_LEAST_REST: Final = 0.05
+"""A rest below this share of the noise is of no consequence."""
+
+
+def diagnose(
+    campaign: Sequence[Segmented],
+    *,
+    progress: Callable[[str], None] | None = None,
+    workers: int = 1,
+) -> Diagnosis:
+    """
+    Find what the three-element model lacks.
+
+    Parameters
+    ----------
+    campaign : sequence of TrialAnalysis or (Trial, Segmentation)
+        The trials; none that the error is to be tested on.
+    progress : callable, optional
+        Told what is being looked at.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    Diagnosis
+        The answer.
+
+    Raises
+    ------
+    UsageError
+        If there is no trial to fit.
+
+    """
+
+    def tell(what: str) -> None:
+        if progress is not None:
+            progress(what)
+
+    trials = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+    tell('fitting the three-element model')
+    prepared, known = prepare(trials)
+    before = fit_prepared(prepared, Model(), warnings=known)
+    if line_spectrum(before.problem, before.state).chance < _LINE:
+        prepared, known = prepare(trials, windows=True)
+        before = fit_prepared(prepared, Model(), near=before, warnings=known)
+    phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
+    search = _Search(before, phases, workers, tell)
+    outcome = search.run()
+    after = before
+    if outcome.effects:
+        tell('fitting the model with ' + ', '.join(outcome.effects))
+        after = fit_prepared(
+            prepared,
+            outcome.chosen.model,
+            near=outcome.chosen.as_fit(before),
+            scatter=outcome.scatter,
+            warnings=known,
+        )
+    return Diagnosis(
+        status=outcome.status,
+        effects=outcome.effects,
+        sets=outcome.sets,
+        not_testable=outcome.not_testable,
+        look_alikes=outcome.look_alikes,
+        ranking=outcome.ranking,
+        unexplained=outcome.unexplained,
+        next_trial=None,
+        before=before,
+        after=after,
+        warnings=outcome.warnings,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What the search has come to."""
+
+    status: Status
+    effects: tuple[str, ...]
+    sets: tuple[tuple[str, ...], ...]
+    not_testable: tuple[str, ...]
+    look_alikes: tuple[tuple[str, str, float], ...]
+    ranking: tuple[Candidate, ...]
+    unexplained: Unexplained | None
+    warnings: tuple[str, ...]
+    chosen: Refit
+    scatter: FloatArray | None
+
+
+class _Search:
+    """The steps of a diagnosis, with what they share."""
+
+    def __init__(
+        self,
+        before: Fit,
+        phases: Sequence[Segmentation],
+        workers: int,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.before = before
+        self.phases = phases
+        self.workers = workers
+        self.tell = tell
+        self.groups = conditions(phases)
+        self.jumps = before.problem.jumps(before.state)
+        self.warnings: list[str] = []
+
+    def run(self) -> _Outcome:
+        """Return what the trials tell."""
+        plain = Workbench(self.before.problem.trials, None, self.jumps)
+        base = plain.base(self.before)
+        names, hidden = self._testable(plain, base)
+        scatter = self._repeats(base)
+        bench, scattered = plain, None
+        if scatter is not None and scatter.cautious.any():
+            scattered = scatter.cautious
+            bench = Workbench(plain.trials, scattered, self.jumps)
+            base = bench.base(self.before)
+        chosen, rounds, order = self._select(bench, base, names)
+        if scatter is None:
+            found = self._unrepeated(bench, base, chosen)
+            if found is not None:
+                scattered = found
+                bench = Workbench(plain.trials, scattered, self.jumps)
+                base = bench.base(self.before)
+                chosen, rounds, order = self._select(bench, base, names)
+        self.tell('looking at what is left')
+        rest = self._rest(bench, base, chosen, rounds)
+        ranking = self._ranking(bench, base, rounds[0])
+        unexplained = self._unexplained(bench, base, chosen, rest)
+        status: Status = 'none'
+        if order:
+            status = 'partly_explained' if rest else 'explained'
+        elif rest:
+            status = 'unexplained'
+        sets = [each.alike for each in rounds if each.alike and each.alike[0] in order]
+        sets.sort(key=lambda alike: order.index(alike[0]))
+        return _Outcome(
+            status=status,
+            effects=order,
+            sets=tuple(sets),
+            not_testable=(*hidden, LOAD_CELL_GAIN),
+            look_alikes=pairs(bench, base, rounds[0].candidates, order),
+            ranking=ranking,
+            unexplained=unexplained,
+            warnings=tuple(self.warnings),
+            chosen=chosen,
+            scatter=scattered,
+        )
+
+    def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:
+        """Return the effects that the trials can show, and those that they cannot."""
+        seen, hidden = list[str](), list[str]()
+        tangent = Tangent(bench, base)
+        for effect in EFFECTS:
+            shown = visible(bench, base, tangent, effect.name)
+            (seen if shown else hidden).append(effect.name)
+        return seen, hidden
+
+    def _repeats(self, base: Refit) -> Scatter | None:
+        """Return the scatter that repeats show, and say so."""
+        scatter = measure(base, self.groups)
+        if scatter is None:
+            return None
+        if scatter.std.any():
+            sizes = ', '.join(
+                f'{100.0 * size:.2g} % in {name}'
+                for size, name in zip(scatter.std, base.model.names, strict=True)
+            )
+            self.warnings.append(
+                f'repeats of the same push scatter by {sizes} ({scatter.degrees} differences '
+                f'between repeats): a nuisance that is allowed for and no effect'
+            )
+        return scatter
+
+    def _select(
+        self, bench: Workbench, base: Refit, names: Sequence[str]
+    ) -> tuple[Refit, tuple[Round, ...], tuple[str, ...]]:
+        chosen, rounds = select(
+            bench,
+            base,
+            names,
+            workers=self.workers,
+            progress=lambda name: self.tell(f'trying {name}'),
+        )
+        chosen, order = eliminate(bench, chosen, rounds)
+        return chosen, rounds, order
+
+    def _unrepeated(self, bench: Workbench, base: Refit, chosen: Refit) -> FloatArray | None:
+        """
+        Return the scatter that trials without repeats ask for, if they do.
+
+        Scatter is a rival of every effect: it stands where it explains the trials clearly better.
+        """
+        if len(bench.trials) < 2:
+            return None
+        best, size = chosen.deviance, None
+        for each in _SCATTERS:
+            scattered = Workbench(bench.trials, np.full(3, each), self.jumps)
+            refit = scattered.refit(chosen.model, chosen)
+            if refit is not None and refit.deviance < best - LEAD:
+                best, size = refit.deviance, each
+        if size is None:
+            return None
+        self.warnings.append(
+            f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
+            f'{100.0 * size:.2g} % from trial to trial: without repeats of the same push this '
+            f'cannot be told from an effect'
+        )
+        return np.full(3, size)
+
+    def _rest(
+        self, bench: Workbench, base: Refit, chosen: Refit, rounds: Sequence[Round]
+    ) -> tuple[Found, ...]:
+        """Return the curves that are left beyond chance and beyond the form of an effect."""
+        strongest = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        least = max(_LEAST_REST, _FORM * strongest)
+        return tuple(
+            found
+            for found in look(bench, chosen, self.phases)
+            if found.gain > STRUCTURE_GATE and found.strength > least
+        )
+
+    def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
+        """Return all candidates beside the base model."""
+        plain = {
+            each.effect: left_out(bench, base, each.refit, self.groups)
+            for each in first.candidates
+            if each.refit is not None
+        }
+        return tuple(
+            Candidate(
+                effect=each.effect,
+                score=each.score,
+                delta_bic=each.gain,
+                held_out_ratio=plain.get(each.effect),
+                strength=each.strength,
+            )
+            for each in first.candidates
+        )
+
+    def _unexplained(
+        self, bench: Workbench, base: Refit, chosen: Refit, rest: Sequence[Found]
+    ) -> Unexplained | None:
+        """Return what is known of the rest."""
+        if not rest:
+            return None
+        left = max(found.strength for found in rest)
+        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        return Unexplained(
+            share_of_chi2=left**2 / (left**2 + taken**2),
+            where=tuple(describe(found) for found in rest),
+        )
