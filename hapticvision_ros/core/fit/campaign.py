@@ -467,7 +467,7 @@ class Problem:
             return total
         for index in range(len(self.trials)):
             _, jacobian = self.reduced(state, index)
-            own = jacobian[: -k, self.p :]
+            own = jacobian[:-k, self.p :]
             chosen = np.zeros(own.shape[1], dtype=np.bool_)
             chosen[self.q : self.q + k] = True
             basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)
