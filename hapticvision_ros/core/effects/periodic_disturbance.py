@@ -23,27 +23,17 @@ from hapticvision_ros.core.effects.declaration import (
     EffectParameter,
     Prediction,
 )
-import numpy as np
+from hapticvision_ros.core.models.sampling import hum
 
 
 def _observe(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
     amplitude, frequency, phase = values
-    half = 0.5 * np.diff(trial.t)
-    # From the middle of the trial, so that a change of the frequency does not turn the phase.
-    t = trial.t[:-1] + half - 0.5 * (trial.t[0] + trial.t[-1])
-    angle = 2.0 * np.pi * frequency * t + phase
-    # The load cell averages over its step.
-    width = 2.0 * np.pi * frequency * half
-    mean = np.sinc(width / np.pi)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    prediction.force += amplitude * mean * sine
-    if rows:
-        prediction.d_force[rows[0]] += mean * sine
-        d_mean = np.divide(np.cos(width) - mean, frequency, out=np.zeros_like(t), where=width > 0)
-        prediction.d_force[rows[1]] += amplitude * (d_mean * sine + 2 * np.pi * t * mean * cosine)
-        prediction.d_force[rows[2]] += amplitude * mean * cosine
+    own = tuple(rows) or (-1, -1, -1)
+    # From the middle of the trial, so that a change of the frequency does not turn the phase; the
+    # load cell averages over its step.
+    hum(trial.t, amplitude, frequency, phase, prediction.force, prediction.d_force, *own)
 
 
 EFFECT = Effect(

@@ -240,9 +240,11 @@ _SHORTEST = 1e-6
 """Share of a step that a part of it has at least."""
 _SAME = 1e-9
 """Relative difference between two steps that makes none."""
+_B_E, _B_FLOW, _B_END, _B_K1, _B_C0, _B_CM, _B_KP, _B_OFF, _B_MASS, _BENT = range(10)
+"""Derivatives along a direction: of e, h / C2 and kappa, and of numbers; their count."""
 
 
-@njit(cache=True, inline='always', error_model='numpy')
+@njit(cache=True, nogil=True, inline='always', error_model='numpy')
 def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
     """
     Return e in F_mean = k z + e u, its slope in k, and k x b'(x) for its others.
@@ -267,7 +269,7 @@ def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
     return k * value + c1 / h, value + x * slope, k * x * slope
 
 
-@njit(cache=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _end_weight(r):  # type: ignore[no-untyped-def]
     """
     Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative.
@@ -286,7 +288,7 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
     return gone / left, (d_gone * left + gone * (d_gone * r + gone)) / (left * left)
 
 
-@njit(cache=True, inline='always', error_model='numpy')
+@njit(cache=True, nogil=True, inline='always', error_model='numpy')
 def _retarded_unit(  # type: ignore[no-untyped-def]
     u, z, z_max, h, k1, c1, against, beta, damage, d_ref
 ):
@@ -305,7 +307,7 @@ def _retarded_unit(  # type: ignore[no-untyped-def]
     return k * z + e * u, e + 0.5 * dk * (z + e_k * u), k, dk, e_k, e_x, middle
 
 
-@njit(cache=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _anchor(x, p, series):  # type: ignore[no-untyped-def]
     """Set out 1 / x, x^p and the binomial coefficients of p, for powers near x."""
     series[0] = 1.0 / x
@@ -316,7 +318,7 @@ def _anchor(x, p, series):  # type: ignore[no-untyped-def]
         series[1 + k] = term
 
 
-@njit(cache=True, inline='always', error_model='numpy')
+@njit(cache=True, nogil=True, inline='always', error_model='numpy')
 def _power(x, p, series):  # type: ignore[no-untyped-def]
     """Return x^p, by the binomial series where x is near the last anchor."""
     r = x * series[0] - 1.0
@@ -327,7 +329,7 @@ def _power(x, p, series):  # type: ignore[no-untyped-def]
     return series[1] * (1.0 + r * (series[2] + r * (series[3] + r * tail)))
 
 
-@njit(cache=True, inline='always', error_model='numpy')
+@njit(cache=True, nogil=True, inline='always', error_model='numpy')
 def _flow_unit(force, c2, f_y, p, series):  # type: ignore[no-untyped-def]
     """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
     if f_y == 0.0 and p == 1.0:
@@ -346,7 +348,37 @@ def _flow_unit(force, c2, f_y, p, series):  # type: ignore[no-untyped-def]
     return rate, slope, excess
 
 
-@njit(cache=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+def _fallen(kept, stretch):  # type: ignore[no-untyped-def]
+    """Return what is left of the further units' stretches after a step free of force."""
+    total = 0.0
+    for k in range(kept.size):
+        total += kept[k] * stretch[k]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+def _fallen_tangent(j, give, d_force, kept, d_stretch):  # type: ignore[no-untyped-def]
+    """Take tangent j of the further units from one step, with its force, into the next."""
+    total = 0.0
+    for k in range(kept.size):
+        d_stretch[j, k] = kept[k] * (d_stretch[j, k] + give[k] * d_force)
+        total += d_stretch[j, k]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+def _bent_tangent(j, d_kept, stretch, d_give, force, d_stretch):  # type: ignore[no-untyped-def]
+    """Add what direction j changes of the further units themselves; return the sum of it."""
+    total = 0.0
+    for k in range(stretch.size):
+        change = d_kept[j, k] * stretch[k] + d_give[j, k] * force
+        d_stretch[j, k] += change
+        total += change
+    return total
+
+
+@njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract', 'reassoc'})
 def _respond(  # type: ignore[no-untyped-def]
     t, d, q, ku, cu, dq, dku, dcu, force, surface, d_force, d_surface
 ):
@@ -361,6 +393,8 @@ def _respond(  # type: ignore[no-untyped-def]
     plain = beta == 0.0 and damage == 0.0
     linear = plain and p == 1.0 and f_y == 0.0 and m == 0.0
     c2_inverse = 1.0 / c2
+    k1_inverse = 1.0 / k1
+    d_ref_inverse = 1.0 / d_ref
     mass = q[_MASS]
     massive = mass > 0.0
     for j in range(directions):
@@ -415,7 +449,6 @@ def _respond(  # type: ignore[no-untyped-def]
     dx = np.zeros(directions)
     dz_max = np.zeros(directions)
     d_speed = np.zeros(directions)
-    d_e = np.zeros(directions)
     d_mean = np.zeros(directions)
     d_first = np.zeros(directions)
     d_part = np.zeros(directions)
@@ -440,22 +473,47 @@ def _respond(  # type: ignore[no-untyped-def]
     held = 0.0
     mean = 0.0
     unit_compliance = 0.0
-    # Nothing but the three elements: most trials, most of the time.
-    bare = linear and units == 0 and kp == 0.0 and not compliant and not massive
+    # A linear chain between two events is most of a trial, most of the time.
+    brisk = linear
     for j in range(directions):
-        bare = bare and dq[j, _KP] == 0.0 and dq[j, _N] == 0.0 and dq[j, _FY] == 0.0
-        bare = bare and dq[j, _M] == 0.0 and dq[j, _BETA] == 0.0 and dq[j, _D] == 0.0
+        brisk = brisk and dq[j, _N] == 0.0 and dq[j, _FY] == 0.0 and dq[j, _M] == 0.0
+        brisk = brisk and dq[j, _BETA] == 0.0 and dq[j, _D] == 0.0
+    # And often it has nothing but the three elements.
+    bare = brisk and units == 0 and kp == 0.0 and not compliant and not massive
+    for j in range(directions):
+        bare = bare and dq[j, _KP] == 0.0
+    brisk = brisk and not bare
     bare_h = -1.0
     bare_inverse = 0.0
     bare_flow = 0.0
-    # Any linear chain, when no derivatives are asked for.
-    brisk = linear and directions == 0 and not massive and not bare
     brisk_h = -1.0
     brisk_contact = False
+    per_h = 0.0
+    flow_give = 0.0
     give = 0.0
+    z_give = 0.0
     x_give = 0.0
     total_give = 0.0
     inverse = 0.0
+    waits = 0.0
+    held_kappa = 0.0
+    on = 0.0
+    half_kp = 0.5 * kp
+    bent = np.zeros((directions, _BENT))
+    kept_u = np.zeros(units)
+    unit_give = np.zeros(units)
+    d_unit_give = np.zeros((directions, units))
+    d_fc = np.zeros(directions)
+    own_units = np.zeros(directions, dtype=np.bool_)
+    for j in range(directions):
+        for k in range(units):
+            own_units[j] = own_units[j] or dku[j, k] != 0.0 or dcu[j, k] != 0.0
+        bent[j, _B_K1] = dq[j, _K1]
+        bent[j, _B_C0] = dq[j, _C0]
+        bent[j, _B_CM] = dq[j, _CM]
+        bent[j, _B_KP] = dq[j, _KP]
+        bent[j, _B_OFF] = dq[j, _OFF]
+        bent[j, _B_MASS] = dq[j, _MASS]
     surface[0] = 0.0
     for j in range(directions):
         d_surface[j, 0] = 0.0
@@ -474,16 +532,16 @@ def _respond(  # type: ignore[no-untyped-def]
                 bare_flow = h * c2_inverse
                 bare_inverse = 1.0 / (1.0 + bare_flow * e)
                 for j in range(directions):
-                    d_e[j] = e_k * dq[j, _K1] + dq[j, _C1] / h
+                    bent[j, _B_E] = e_k * dq[j, _K1] + dq[j, _C1] / h
                     if contact:
-                        d_e[j] -= e_x / against * (dq[j, _C1] + dq[j, _C2])
+                        bent[j, _B_E] -= e_x / against * (dq[j, _C1] + dq[j, _C2])
                     elif c1 > 0.0:
-                        d_e[j] -= e_x / against * dq[j, _C1]
+                        bent[j, _B_E] -= e_x / against * dq[j, _C1]
             if not contact:
                 u = -k1 / e * z
                 if z + u + y >= d_end:
                     for j in range(directions):
-                        dz[j] -= (dq[j, _K1] * z + k1 * dz[j] + d_e[j] * u) / e
+                        dz[j] -= (dq[j, _K1] * z + k1 * dz[j] + bent[j, _B_E] * u) / e
                         dx[j] = dz[j] + dy[j]
                         d_force[j, i] = 0.0
                         d_surface[j, i + 1] = dx[j]
@@ -496,7 +554,7 @@ def _respond(  # type: ignore[no-untyped-def]
             total = k1 * z + e * u
             if contact and 1.5 * total - 0.5 * force[i - 1] >= -f_ad:
                 for j in range(directions):
-                    dfc = dq[j, _K1] * z + k1 * dz[j] + d_e[j] * u
+                    dfc = dq[j, _K1] * z + k1 * dz[j] + bent[j, _B_E] * u
                     dy[j] -= bare_flow * total * c2_inverse * dq[j, _C2]
                     du = (dq[j, _OFF] - dz[j] - dy[j] - bare_flow * dfc) * bare_inverse
                     dfc += e * du
@@ -518,7 +576,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 d_force[j, i] = 0.0
                 d_surface[j, i + 1] = 0.0
             continue
-        if brisk and not virgin:
+        if brisk and not virgin and (contact or not massive):
             if contact != brisk_contact or abs(h - brisk_h) > _SAME * h:
                 brisk_h = h
                 brisk_contact = contact
@@ -526,43 +584,132 @@ def _respond(  # type: ignore[no-untyped-def]
                 against = c1 + c2 if contact else c1
                 e, e_k, e_x = _memory_weight(k1, c1, h, against)
                 kappa = 1.0
+                d_kappa = 0.0
                 if contact and compliant:
                     kappa, d_kappa = _end_weight(compliance / (h * fluidity))
-                give = h * c2_inverse + kappa * c0
+                # Free, nothing holds the force of the chain, and the machine has none.
+                on = 1.0 if contact else 0.0
+                held_kappa = on * kappa
+                flow_give = h * c2_inverse
+                waits = (1.0 - kappa) * c0
+                give = flow_give + kappa * c0
                 for k in range(units):
-                    left_u[k] = -np.expm1(-ku[k] * h / cu[k])
-                    give += left_u[k] / ku[k]
+                    pace[k] = ku[k] / cu[k]
+                    left_u[k] = -np.expm1(-pace[k] * h)
+                    kept_u[k] = 1.0 - left_u[k]
+                    unit_give[k] = left_u[k] * softness[k]
+                    give += unit_give[k]
+                z_give = 1.0 + give * k1
                 x_give = 1.0 + give * e
-                total_give = e + 0.5 * x_give * kp
+                total_give = e + half_kp * x_give
                 inverse = 1.0 / (x_give + cm * kappa * total_give if contact else total_give)
-            fc = k1 * z
-            x_end = z + y + (1.0 - kappa) * c0 * chain_force + give * fc
-            for k in range(units):
-                x_end += zu[k] * (1.0 - left_u[k])
-            total = fc + 0.5 * kp * (x + x_end)
-            if contact:
-                g = x_end - d_end + cm * (machine_force + kappa * (total - machine_force))
-            else:
-                g = total
-            u = -g * inverse
-            x_end += x_give * u
-            total += total_give * u
-            if 1.5 * total - 0.5 * force[i - 1] >= -f_ad if contact else x_end >= d_end:
-                fc += e * u
-                z += u
-                y += h * c2_inverse * fc
-                for k in range(units):
-                    zu[k] += left_u[k] * (fc * softness[k] - zu[k])
+                per_h = 1.0 / h
+                per_against = e_x / against if against > 0.0 else 0.0
+                r = compliance / (h * fluidity)
+                for j in range(directions):
+                    de = e_k * dq[j, _K1] + dq[j, _C1] * (per_h - per_against)
+                    if contact:
+                        de -= per_against * dq[j, _C2]
+                    bent[j, _B_E] = de
+                    bent[j, _B_FLOW] = -flow_give * c2_inverse * dq[j, _C2]
+                    bent[j, _B_END] = 0.0
+                    if d_kappa != 0.0:
+                        d_r = d_compliance[j] * per_h - r * d_fluidity[j]
+                        bent[j, _B_END] = d_kappa * d_r / fluidity
+                    if own_units[j]:
+                        for k in range(units):
+                            change = h * kept_u[k] * (dku[j, k] - pace[k] * dcu[j, k]) / cu[k]
+                            d_kept[j, k] = -change
+                            d_unit_give[j, k] = change * softness[k] + left_u[k] * d_softness[j, k]
+            for j in range(directions):
+                d_fc[j] = 0.0
+            first = i
+            while True:
+                x_end = y + z_give * z + waits * chain_force
+                if units > 0:
+                    x_end += _fallen(kept_u, zu)
+                fc = k1 * z
+                total = fc + half_kp * (x + x_end)
                 if contact:
-                    chain_force += kappa * (fc - chain_force)
-                    machine_force += kappa * (total - machine_force)
-                    force[i] = total
+                    g = x_end - d_end
+                    if cm > 0.0:
+                        g += cm * (machine_force + kappa * (total - machine_force))
                 else:
-                    chain_force = fc
-                    machine_force = 0.0
-                    force[i] = 0.0
+                    g = total
+                u = -g * inverse
+                x_end += x_give * u
+                total += total_give * u
+                seen = total
+                spurt = 0.0
+                if contact:
+                    if massive:
+                        spurt = ((d[i + 1] - d[i]) * per_h - speed) * per_h
+                        seen += mass * spurt
+                    if 1.5 * seen - 0.5 * force[i - 1] < -f_ad:
+                        break
+                elif x_end < d_end:
+                    break
+                fc += e * u
+                jump = fc - chain_force
+                chain_end = chain_force + kappa * jump
+                machine_jump = total - machine_force
+                machine_end = machine_force + kappa * machine_jump
+                x_mid = 0.5 * (x + x_end)
+                for j in range(directions):
+                    dfc = bent[j, _B_K1] * z + bent[j, _B_E] * u + k1 * dz[j]
+                    d_flow = bent[j, _B_FLOW] * fc
+                    d_sum = dz[j] + dy[j] + d_flow + give * dfc
+                    d_sum += waits * d_chain_force[j]
+                    d_sum += bent[j, _B_C0] * chain_end + c0 * bent[j, _B_END] * jump
+                    if units > 0:
+                        d_sum += _fallen_tangent(j, unit_give, d_fc[j], kept_u, dzu)
+                        if own_units[j]:
+                            d_sum += _bent_tangent(j, d_kept, zu, d_unit_give, fc, dzu)
+                    d_total = dfc + half_kp * (dx[j] + d_sum) + bent[j, _B_KP] * x_mid
+                    d_machine = (1.0 - kappa) * d_machine_force[j] + bent[j, _B_END] * machine_jump
+                    dg = d_total
+                    if contact:
+                        dg = d_sum - bent[j, _B_OFF] + bent[j, _B_CM] * machine_end
+                        dg += cm * (d_machine + kappa * d_total)
+                    du = -dg * inverse
+                    dfc += e * du
+                    d_total += total_give * du
+                    d_sum += x_give * du
+                    dz[j] += du
+                    dy[j] += d_flow + flow_give * dfc
+                    dx[j] = d_sum
+                    d_fc[j] = dfc
+                    d_chain_force[j] += kappa * (dfc - d_chain_force[j]) + bent[j, _B_END] * jump
+                    d_machine_force[j] = on * d_machine + held_kappa * d_total
+                    d_force[j, i] = on * d_total
+                    if massive:
+                        d_force[j, i] += bent[j, _B_MASS] * spurt - mass * d_speed[j] * per_h
+                        d_speed[j] = 0.0
+                    d_surface[j, i + 1] = d_sum
+                for k in range(units):
+                    zu[k] = kept_u[k] * zu[k] + unit_give[k] * fc
+                z += u
+                y += flow_give * fc
+                chain_force = chain_end
+                machine_force = on * machine_end
                 x = x_end
+                force[i] = on * seen
+                if massive:
+                    speed = (d[i + 1] - d[i]) * per_h
                 surface[i + 1] = x_end
+                i += 1
+                if i == steps:
+                    break
+                h = t[i + 1] - t[i]
+                d_end = d[i + 1] + offset
+                if abs(h - brisk_h) > _SAME * h:
+                    break
+            if units > 0:
+                for j in range(directions):
+                    for k in range(units):
+                        dzu[j, k] += unit_give[k] * d_fc[j]
+            if i > first:
+                i -= 1
                 continue
         share = 1.0
         touching = contact
@@ -664,7 +811,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         growth = 0.0
                         d_growth = 0.0
                         if x_mid > 0.0:
-                            growth = _power(x_mid / d_ref, m, growth_series)
+                            growth = _power(x_mid * d_ref_inverse, m, growth_series)
                             d_growth = m * growth / x_mid
                     total = growth * fc + kp * x_mid
                     total_slope = growth * slope + 0.5 * x_slope * (d_growth * fc + kp)
@@ -723,6 +870,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 growing = not plain and middle > z_max
                 left = 1.0 - damage * (middle if growing else z_max) / d_ref
                 inverse = 1.0 / g_slope
+                per_hs = 1.0 / hs
+                per_against = e_x / against if against > 0.0 else 0.0
+                per_relaxation = per_hs / fluidity
                 for j in range(directions):
                     dhs = 0.0
                     if split:
@@ -734,20 +884,18 @@ def _respond(  # type: ignore[no-untyped-def]
                     if plain:
                         dk = dq[j, _K1]
                     else:
-                        dk = dq[j, _K1] * stiffness / k1 + d_stiffness * dz[j]
+                        dk = dq[j, _K1] * (stiffness * k1_inverse) + d_stiffness * dz[j]
                     if not plain or dq[j, _BETA] != 0.0 or dq[j, _D] != 0.0:
                         dk += k1 * middle * middle * dq[j, _BETA] * left
                         if middle > z_max:
-                            dk -= k1 * stiffening * dq[j, _D] * middle / d_ref
+                            d_left = dq[j, _D] * middle
                         else:
-                            dk -= (
-                                k1 * stiffening * (dq[j, _D] * z_max + damage * dz_max[j]) / d_ref
-                            )
-                    de = e_k * dk + dq[j, _C1] / hs + (e_x - c1 / hs) / hs * dhs
+                            d_left = dq[j, _D] * z_max + damage * dz_max[j]
+                        dk -= k1 * stiffening * d_ref_inverse * d_left
+                    de = e_k * dk + dq[j, _C1] * (per_hs - per_against)
+                    de += (e_x - c1 * per_hs) * per_hs * dhs
                     if bound_to_tool:
-                        de -= e_x / against * (dq[j, _C1] + dq[j, _C2])
-                    elif c1 > 0.0:
-                        de -= e_x / against * dq[j, _C1]
+                        de -= per_against * dq[j, _C2]
                     dfc = dk * z + stiffness * dz[j] + de * u
                     d_flow = -flow * c2_inverse * dq[j, _C2] * p
                     if dq[j, _FY] != 0.0:
@@ -756,19 +904,19 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_flow -= flow * np.log(excess / (c2 * REFERENCE_RATE)) * p * p * dq[j, _N]
                     d_end_weight = 0.0
                     if compliant and (touching or mass > 0.0):
-                        d_r = d_compliance[j] / (hs * fluidity)
-                        d_r -= compliance / (hs * fluidity) * (d_fluidity[j] / fluidity + dhs / hs)
-                        d_end_weight = d_kappa * d_r
+                        d_r = d_compliance[j] - compliance * dhs * per_hs
+                        d_r -= compliance * d_fluidity[j] / fluidity
+                        d_end_weight = d_kappa * d_r * per_relaxation
                     d_inert = 0.0
                     d_swing_weight = 0.0
                     if massive and not touching:
-                        d_held = dq[j, _C0] - stiff * dq[j, _K1] / (k1 * k1)
-                        d_held += hs * d_fluidity[j] + (fluidity - 2.0 * held / hs) * dhs
-                        d_swing_weight = (
-                            d_swing * (mass * d_held + dq[j, _MASS] * held) / (hs * hs)
-                        )
-                        d_inert = (d_swing_weight * mass + swing * dq[j, _MASS]) / (hs * hs)
-                        d_inert -= 2.0 * inert / hs * dhs
+                        d_held = dq[j, _C0] - stiff * dq[j, _K1] * (k1_inverse * k1_inverse)
+                        d_held += hs * d_fluidity[j] + (fluidity - 2.0 * held * per_hs) * dhs
+                        d_swing_weight = mass * d_held + dq[j, _MASS] * held
+                        d_swing_weight *= d_swing * per_hs * per_hs
+                        d_inert = d_swing_weight * mass + swing * dq[j, _MASS]
+                        d_inert *= per_hs * per_hs
+                        d_inert -= 2.0 * inert * per_hs * dhs
                     d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
                     for k in range(units):
                         kept = 1.0 - left_u[k]
@@ -824,8 +972,9 @@ def _respond(  # type: ignore[no-untyped-def]
                     d_ahead = dx[j] + hs * d_speed[j] + dhs * speed
                     dx[j] = d_sum + x_slope * du
                     if massive and not touching:
-                        d_speed[j] += swing / hs * (dx[j] - d_ahead)
-                        d_speed[j] += (d_swing_weight - swing * dhs / hs) / hs * (x_end - ahead)
+                        d_swing_weight -= swing * dhs * per_hs
+                        d_speed[j] += swing * per_hs * (dx[j] - d_ahead)
+                        d_speed[j] += d_swing_weight * per_hs * (x_end - ahead)
                     if touching or mass > 0.0:
                         d_chain_force[j] += end * (dfc - d_chain_force[j])
                         d_chain_force[j] += d_end_weight * (fc - chain_force)

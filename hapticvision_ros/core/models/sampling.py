@@ -12,13 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What sensors make of a signal and its tangents: samples at other times, and a lag; compiled."""
+"""What sensors make of a signal and its tangents: other times, a lag, a hum; compiled."""
+
+import math
+from typing import Final
 
 from numba import njit
 import numpy as np
 
+_TURNS: Final = 64
+"""Steps for which sine and cosine are turned on before they are computed anew."""
+_ASTRAY: Final = 1e-6
+"""Angle [rad] by which stamps may leave even steps before they are."""
 
-@njit(cache=True)
+
+@njit(cache=True, nogil=True)
 def sample(t, value, d_value, at, out, d_out, slope):  # type: ignore[no-untyped-def]
     """
     Read a piecewise linear signal and its tangents; held at its ends.
@@ -56,7 +64,7 @@ def sample(t, value, d_value, at, out, d_out, slope):  # type: ignore[no-untyped
             d_out[j, k] = d_value[j, i] + weight * (d_value[j, i + 1] - d_value[j, i])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     """
     Put step means through a first-order lag that starts at rest with the first of them.
@@ -110,3 +118,64 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
             d_value[row, i] += d_mean * away
         state = value[i] + kept * away
         value[i] += mean * away
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def hum(  # type: ignore[no-untyped-def]
+    t, amplitude, frequency, phase, value, d_value, row, row_frequency, row_phase
+):
+    """
+    Add the step means of a sine, and their derivatives.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n + 1,)
+        Ends of the steps [s]; the phase is that in the middle between first and last.
+    amplitude, frequency, phase : float
+        Of the sine; in the unit of the signal, Hz and rad.
+    value : ndarray, shape (n,)
+        The signal's means over the steps.
+    d_value : ndarray, shape (p, n)
+        Its tangents.
+    row, row_frequency, row_phase : int
+        The rows of amplitude, frequency and phase; -1 for none.
+
+    """
+    centre = 0.5 * (t[0] + t[-1])
+    omega = 2.0 * math.pi * frequency
+    known = -1.0
+    mean = d_mean = turn = sine = cosine = sine_turn = cosine_turn = anchor = 0.0
+    turned = 0
+    for i in range(value.size):
+        h = t[i + 1] - t[i]
+        angle = omega * (t[i] + 0.5 * h - centre) + phase
+        if abs(h - known) > 1e-9 * h:
+            known = h
+            half = 0.5 * omega * h
+            mean = math.sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0
+            d_mean = (math.cos(half) - mean) / frequency
+            turn = omega * h
+            sine_turn = math.sin(turn)
+            cosine_turn = math.cos(turn)
+            turned = _TURNS
+        turned += 1
+        astray = angle - (anchor + turned * turn)
+        if turned > _TURNS or abs(astray) > _ASTRAY:
+            turned = 0
+            anchor = angle
+            astray = 0.0
+            sine = math.sin(angle)
+            cosine = math.cos(angle)
+        else:
+            ahead = sine * cosine_turn + cosine * sine_turn
+            cosine = cosine * cosine_turn - sine * sine_turn
+            sine = ahead
+        # The stamps' own rounding, to first order.
+        now = sine + astray * cosine
+        value[i] += amplitude * mean * now
+        if row >= 0:
+            slope = amplitude * mean * (cosine - astray * sine)
+            d_value[row, i] += mean * now
+            d_value[row_frequency, i] += amplitude * d_mean * now
+            d_value[row_frequency, i] += slope * (angle - phase) / frequency
+            d_value[row_phase, i] += slope
