@@ -30,8 +30,9 @@ PRONY); MuJoCo XML Reference, joint (stiffness, damping, frictionloss).
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import batched
+import json
 import math
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from hapticvision_ros.core.composition import BASE, BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
@@ -48,6 +49,8 @@ from hapticvision_ros.core.relaxation import (
 )
 import numpy as np
 
+type Format = Literal['json', 'csv', 'abaqus', 'ansys', 'mujoco']
+
 SCHEMA: Final = 'hapticvision/export/1'
 
 _STEP: Final = 1e-4
@@ -56,7 +59,14 @@ _STEPS_A_SWING: Final = 20.0
 """Steps in 1/omega of the mass on the stiffest spring."""
 _HARD_FRICTION: Final = f' solreffriction="{2.0 * _STEP:g} 1" solimpfriction="0.9999 0.9999"'
 """MuJoCo's dry friction is soft: as hard as it can be."""
-_LAWS: Final = ('strain_stiffening', 'damage', 'shear_thinning', 'contact_growth', 'ageing')
+_LAWS: Final = (
+    'strain_stiffening',
+    'damage',
+    'shear_thinning',
+    'contact_growth',
+    'exponential_stiffening',
+    'ageing',
+)
 """Effects that a link with constant numbers cannot hold."""
 _DIGITS: Final = 10
 
@@ -134,8 +144,8 @@ def material_quantities(
     -------
     dict of str to MaterialQuantity
         ``E = K h / A`` [Pa], ``eta = C h / A`` [Pa.s], ``sigma = F / A`` [Pa], ``beta h^2`` [-],
-        and numbers without a unit as they are; null with the reason for what is not a property of
-        the material.
+        ``a h`` [-], and numbers without a unit as they are; null with the reason for what is not
+        a property of the material.
 
     """
     return {
@@ -165,6 +175,7 @@ def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) ->
     special = {
         'F_y': ('sigma_y', 'Pa', 1.0 / specimen.area),
         'beta': ('beta', '-', specimen.height**2),
+        'a': ('a', '-', specimen.height),
         'n': ('n', '-', 1.0),
         'm': ('m', '-', 1.0),
         'D': ('D', '-', 1.0),
@@ -531,40 +542,69 @@ def mujoco(model: Model, parameters: Mapping[str, float]) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def finite_element_series(
+def export(
+    form: Format,
     model: Model,
     parameters: Mapping[str, Estimate],
-    specimen: Specimen,
+    *,
+    specimen: Specimen | None = None,
+    poisson: float | None = None,
     shortest_time: float | None = None,
     point: Point | None = None,
-) -> PronySeries:
+    source: str = 'hapticvision_ros',
+) -> str:
     """
-    Return the Prony series of the material, with its instantaneous Young's modulus in Pa.
+    Return a fitted model in one of the formats.
 
     Parameters
     ----------
+    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco'}
+        All forms as JSON, the relaxation function as a table, a Prony series for one of two
+        finite-element codes, or a MuJoCo model.
     model : Model
         The model.
     parameters : mapping of str to Estimate
         Its parameters in SI units, by name.
-    specimen : Specimen
-        What was pressed.
+    specimen : Specimen, optional
+        What was pressed; finite-element codes need it.
+    poisson : float, optional
+        Poisson's ratio; finite-element codes need it.
     shortest_time : float, optional
         See `hapticvision_ros.core.relaxation.prony_series` [s].
     point : {'rest', 'reference'}, optional
         Where a nonlinear model is linearised.
+    source : str
+        What to name as the source of a Prony series.
 
     Returns
     -------
-    PronySeries
-        The series.
+    str
+        The content of a file.
 
     Raises
     ------
     UsageError
-        If a parameter is unknown, the model is nonlinear and no point is given, or a shortest time
-        is missing.
+        If the format cannot hold the model, or something that it needs is missing.
 
     """
-    relaxation = relaxation_function(model, known_values(model, parameters), point)
-    return prony_series(relaxation, shortest_time, specimen.modulus)
+    if form == 'json':
+        whole = document(model, parameters, specimen, point)
+        return json.dumps(whole, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
+    values = known_values(model, parameters)
+    if form == 'mujoco':
+        return mujoco(model, values)
+    relaxation = relaxation_function(model, values, point)
+    if form == 'csv':
+        return csv(relaxation)
+    if specimen is None or poisson is None:
+        raise UsageError(
+            f"{form} needs area and height of the specimen and Poisson's ratio: it works with "
+            'moduli, not with stiffnesses'
+        )
+    series = prony_series(relaxation, shortest_time, specimen.modulus)
+    remarks = [f'{model.name}, from {source}']
+    if point is not None:
+        remarks.append(f'linearised at: {point}')
+    if relaxation.impulse > 0.0:
+        remarks.append(f'nothing faster than {shortest_time:g} s is resolved')
+    return (abaqus if form == 'abaqus' else ansys)(series, poisson, remarks)

@@ -61,7 +61,14 @@ body, or at the `reference` of its parameters (see `relaxation_function`).
 POINTS: Final[tuple[Point, ...]] = ('rest', 'reference')
 
 NONLINEAR: Final = frozenset(
-    {'yield_force', 'shear_thinning', 'strain_stiffening', 'damage', 'contact_growth'}
+    {
+        'yield_force',
+        'shear_thinning',
+        'strain_stiffening',
+        'damage',
+        'contact_growth',
+        'exponential_stiffening',
+    }
 )
 LINEAR: Final = frozenset({'series_spring', 'parallel_spring', 'second_retardation', 'springpot'})
 _BESIDE: Final = frozenset({'ageing', 'adhesion', 'inertia'})
@@ -199,7 +206,8 @@ def relaxation_function(
         Where a nonlinear effect is linearised. At `rest` the slider holds, so that C2 does not
         flow, and K1 is as it is without stretch. At the `reference` C2 flows (its force counts
         from F_y on, and is proportional to the rate with the viscosity at 1 mm/s), the patch is
-        that of the depth d_ref, and K1 is neither stiffened nor harmed.
+        that of the depth d_ref, and K1 is neither stiffened nor harmed. A force that grows
+        exponentially with the depth is that of a small depth at both.
 
     Returns
     -------

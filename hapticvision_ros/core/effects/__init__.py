@@ -28,6 +28,7 @@ from hapticvision_ros.core.effects import (
     contact_growth,
     contact_offset,
     damage,
+    exponential_stiffening,
     force_drift,
     force_lag,
     friction,
@@ -54,6 +55,7 @@ EFFECTS: Final[tuple[Effect, ...]] = (
     strain_stiffening.EFFECT,
     shear_thinning.EFFECT,
     contact_growth.EFFECT,
+    exponential_stiffening.EFFECT,
     damage.EFFECT,
     ageing.EFFECT,
     adhesion.EFFECT,
@@ -67,7 +69,7 @@ EFFECTS: Final[tuple[Effect, ...]] = (
     height_bias.EFFECT,
     periodic_disturbance.EFFECT,
 )
-"""All effects, in the order of the contract."""
+"""All effects: those of the contract in its order, and what measured data ask for beside them."""
 
 BY_NAME: Final = {effect.name: effect for effect in EFFECTS}
 """The effects by their name in results."""
