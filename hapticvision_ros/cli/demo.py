@@ -52,7 +52,7 @@ OWN_PARAMETERS: Final = {
     # A demo need not fill a gigabyte of disk.
     'range_sensor_driver.yaml': {'width': 160, 'height': 120},
     # Nothing is there to be hurt, and the machine may have other work to do.
-    'arm_push_controller.yaml': {'stale_time': 0.5},
+    'arm_push_controller.yaml': {'stale_time': 1.0},
 }
 """Where the demo differs from the package's own configuration."""
 INTERRUPTED: Final = 130

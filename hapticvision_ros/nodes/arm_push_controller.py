@@ -247,7 +247,8 @@ class ArmPushController(CellNode):
         self._tool_height = create_publisher(self, TOOL_HEIGHT)
         self._push_velocity = create_publisher(self, PUSH_VELOCITY)
         self._phase = create_publisher(self, PHASE)
-        self._last_command: Command | None = None
+        self._told_velocity: float | None = None
+        self._told_phase: str | None = None
         self._arm: Arm = connect_arm(values.integer('simulated_world_port'))
         values.add_check(self._check_change)
         self._wrenches = Intake.of(self, WRENCH)
@@ -266,7 +267,7 @@ class ArmPushController(CellNode):
         control = self._control
         if control is not None:
             control.abort('The controller ends.', time.monotonic())
-            self._publish(Command(0.0, control.phase))
+            self._publish(Command(0.0, control.phase), ended=True)
         self._arm.close()
 
     def _listen(self) -> None:
@@ -370,19 +371,22 @@ class ArmPushController(CellNode):
             if control.finished:
                 # Before the last phase is told: who hears it may start the next push at once.
                 self._control = None
-            self._publish(command)
+            self._publish(command, ended=control.finished)
             # After a long interruption the missed cycles are not made up for.
             due = max(due + self._period, now)
             time.sleep(max(0.0, due - time.monotonic()))
         if control.reason is not None:
             self.get_logger().warning(f'The push was aborted: {control.reason}')
 
-    def _publish(self, command: Command) -> None:
-        last, self._last_command = self._last_command, command
-        if last is None or command.push_velocity != last.push_velocity:
-            self._push_velocity.publish(scalar_to_message(command.push_velocity))
-        if last is None or command.phase != last.phase:
-            self._phase.publish(text_to_message(command.phase))
+    def _publish(self, command: Command, *, ended: bool) -> None:
+        """Tell what has changed; that a push was aborted only once the tool has come back."""
+        velocity, phase = command
+        if velocity != self._told_velocity:
+            self._told_velocity = velocity
+            self._push_velocity.publish(scalar_to_message(velocity))
+        if phase != self._told_phase and (ended or phase != 'aborted'):
+            self._told_phase = phase
+            self._phase.publish(text_to_message(phase))
 
 
 def main() -> int:

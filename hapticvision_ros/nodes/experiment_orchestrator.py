@@ -163,7 +163,7 @@ PARAMETERS: Final = (
     ),
 )
 
-_CLOSE_TIMEOUT: Final = 2.0
+_CLOSE_TIMEOUT: Final = 3.0
 _STOPPED: Final = 'the orchestrator was stopped'
 _LEVELS: Final = {
     GoalStatus.SUCCEEDED: DiagnosticStatus.OK,
@@ -535,7 +535,7 @@ class ExperimentOrchestrator(CellNode):
             return
         refusals = [result.reason for result in answer.results if not result.successful]
         if refusals:
-            experiment.failed(f'{experiment.trial.name}: {"; ".join(refusals)}', now)
+            experiment.failed(f'{experiment.trial.name}: {" ".join(dict.fromkeys(refusals))}', now)
         else:
             experiment.done(now)
 

@@ -143,6 +143,9 @@ def test_a_stopped_push_retracts_and_ends_as_aborted(controller, probe, until, h
     until(lambda: texts(phases)[-1] == 'aborted', 'the abort')
     # Back where it came from, within the braking distance.
     until(lambda: abs(tool[-1].data - start) < 0.002, 'the retraction')
+    # Who hears that it has ended may go on at once.
+    (result,) = probe.set_parameters('arm_push_controller', {'depth': 0.002})
+    assert result.successful, result.reason
 
 
 def test_a_lost_load_cell_aborts_the_push_and_retracts_the_tool(

@@ -31,6 +31,7 @@ from hapticvision_ros.bag.contract import (
     PHASE,
     RHEOLOGY_RESULT,
     START_EXPERIMENT,
+    STOP,
 )
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.pipeline import analyse
@@ -155,6 +156,24 @@ def test_a_cancelled_push_keeps_its_bag_and_says_so(cell, probe, until):
     assert len(read_trial(bag).force) > 10
     late = probe.call(CANCEL_EXPERIMENT, CancelGoal.Request())
     assert late.return_code == CancelGoal.Response.ERROR_REJECTED
+
+
+def test_after_a_push_that_the_arm_has_aborted_the_next_one_is_made(cell, probe, until):
+    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
+    (result,) = probe.set_parameters('experiment_orchestrator', {'repeats': 2})
+    assert result.successful, result.reason
+    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, values_from_status(results[-1])
+    assert probe.call(STOP, Trigger.Request()).success
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert values['outcome 1'] == 'aborted: the arm aborted the push'
+    assert values['bag 1'].endswith('_aborted')
+    assert values['outcome 2'] == 'complete'
+    assert (values['status'], values['complete']) == ('SUCCEEDED', '1')
 
 
 def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
