@@ -17,9 +17,31 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hapticvision_ros.api import Campaign, describe, Fit, fit, Model, Trial
+    from hapticvision_ros.api import (
+        Campaign,
+        classify,
+        describe,
+        export,
+        Fit,
+        fit,
+        Model,
+        profile_intervals,
+        Specimen,
+        Trial,
+    )
 
-__all__ = ['Campaign', 'Fit', 'Model', 'Trial', 'describe', 'fit']
+__all__ = [
+    'Campaign',
+    'Fit',
+    'Model',
+    'Specimen',
+    'Trial',
+    'classify',
+    'describe',
+    'export',
+    'fit',
+    'profile_intervals',
+]
 
 
 def __getattr__(name: str) -> object:

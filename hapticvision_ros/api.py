@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a researcher works with in a notebook: `Trial`, `Campaign`, `Model` and `fit`.
+What a researcher works with in a notebook: `Trial`, `Campaign`, `Model`, `fit`, `export`.
 
 .. code-block:: python
 
@@ -32,14 +32,32 @@ from pathlib import Path
 from typing import Self
 
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.classification import Classification
+from hapticvision_ros.core.classification import classify as classify_record
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.export import export as export_model
+from hapticvision_ros.core.export import Format, Specimen
 from hapticvision_ros.core.fit.campaign import Fit, fit
 from hapticvision_ros.core.fit.intervals import Interval, profile_intervals
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.core.records import Trial as Record
+from hapticvision_ros.core.relaxation import Point
 from hapticvision_ros.core.segmentation import segment
 
-__all__ = ['Campaign', 'Fit', 'Interval', 'Model', 'Trial', 'describe', 'fit', 'profile_intervals']
+__all__ = [
+    'Campaign',
+    'Classification',
+    'Fit',
+    'Interval',
+    'Model',
+    'Specimen',
+    'Trial',
+    'classify',
+    'describe',
+    'export',
+    'fit',
+    'profile_intervals',
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +162,67 @@ def describe(result: Fit, *, intervals: bool = True) -> str:
 
     """
     return '\n'.join(_lines(result, profile_intervals(result) if intervals else {}))
+
+
+def classify(trial: Trial) -> Classification:
+    """
+    Tell whether a trial shows an elastic, viscoelastic, plastic or rheological object.
+
+    Parameters
+    ----------
+    trial : Trial
+        One trial with a release.
+
+    Returns
+    -------
+    Classification
+        See `hapticvision_ros.core.classification`.
+
+    """
+    return classify_record(trial.trial, trial.segmentation)
+
+
+def export(
+    result: Fit,
+    form: Format,
+    *,
+    specimen: Specimen | None = None,
+    poisson: float | None = None,
+    shortest_time: float | None = None,
+    point: Point | None = None,
+) -> str:
+    """
+    Return a fit in a format of others.
+
+    Parameters
+    ----------
+    result : Fit
+        The fit.
+    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco'}
+        The format.
+    specimen, poisson, shortest_time, point : optional
+        See `hapticvision_ros.core.export.export`.
+
+    Returns
+    -------
+    str
+        The content of a file.
+
+    Raises
+    ------
+    UsageError
+        If the format cannot hold the model, or something that it needs is missing.
+
+    """
+    return export_model(
+        form,
+        result.model,
+        result.parameters,
+        specimen=specimen,
+        poisson=poisson,
+        shortest_time=shortest_time,
+        point=point,
+    )
 
 
 def _lines(result: Fit, intervals: dict[str, Interval]) -> Iterator[str]:

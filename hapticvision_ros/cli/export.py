@@ -85,7 +85,18 @@ def run(args: argparse.Namespace) -> int:
     """Read the result and write the export."""
     specimen = _specimen(args)
     model, parameters = _fitted(args.result, args.which)
-    text = _export(args, model, parameters, specimen)
+    from hapticvision_ros.core.export import export
+
+    text = export(
+        args.format,
+        model,
+        parameters,
+        specimen=specimen,
+        poisson=args.poisson,
+        shortest_time=args.shortest_time,
+        point=args.linearise,
+        source=args.result.name,
+    )
     if args.out is None:
         print(text, end='')
         return 0
@@ -97,41 +108,6 @@ def run(args: argparse.Namespace) -> int:
         ) from error
     print(f'Wrote {args.out}.')
     return 0
-
-
-def _export(
-    args: argparse.Namespace,
-    model: 'Model',
-    parameters: 'Mapping[str, Estimate]',
-    specimen: 'Specimen | None',
-) -> str:
-    """Return the text of the export."""
-    from hapticvision_ros.core import export
-    from hapticvision_ros.core.relaxation import relaxation_function
-
-    if args.format == 'json':
-        document = export.document(model, parameters, specimen, args.linearise)
-        return json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
-    if args.format == 'csv':
-        values = export.known_values(model, parameters)
-        return export.csv(relaxation_function(model, values, args.linearise))
-    if args.format == 'mujoco':
-        return export.mujoco(model, export.known_values(model, parameters))
-    if specimen is None or args.poisson is None:
-        raise UsageError(
-            f'--format {args.format} needs --area, --height and --poisson: a finite-element code '
-            'works with moduli, not with stiffnesses.'
-        )
-    series = export.finite_element_series(
-        model, parameters, specimen, args.shortest_time, args.linearise
-    )
-    remarks = [f'{model.name}, from {args.result.name}']
-    if args.linearise is not None:
-        remarks.append(f'linearised at: {args.linearise}')
-    if args.shortest_time is not None:
-        remarks.append(f'nothing faster than {args.shortest_time:g} s is resolved')
-    write = export.abaqus if args.format == 'abaqus' else export.ansys
-    return write(series, args.poisson, remarks)
 
 
 def _specimen(args: argparse.Namespace) -> 'Specimen | None':

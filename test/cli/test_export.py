@@ -112,8 +112,11 @@ def test_an_unknown_parameter_of_the_base_model_is_null_with_its_reason(
     [
         (['--format', 'csv'], 'choose the point at which to linearise it'),
         (['--format', 'csv', '--which', 'before'], 'the trials do not tell C2'),
-        (['--format', 'abaqus', *SIZE], 'needs --area, --height and --poisson'),
-        (['--format', 'abaqus', '--poisson', '0.4'], 'needs --area, --height and --poisson'),
+        (['--format', 'abaqus', *SIZE, '--linearise', 'rest'], 'needs area and height'),
+        (
+            ['--format', 'abaqus', '--poisson', '0.4', '--linearise', 'rest'],
+            'needs area and height',
+        ),
         (['--format', 'json', '--area', '20cm2'], 'belong together'),
         (['--format', 'json', '--area', '20kg', '--height', '1'], "--area '20kg' is no size"),
         (['--format', 'json', '--area', '1', '--height', '0mm'], "--height '0mm' is no size"),

@@ -24,14 +24,13 @@ from hapticvision_ros.core.export import (
     ansys,
     csv,
     document,
-    finite_element_series,
     links,
     material_quantities,
     mujoco,
     Specimen,
 )
 from hapticvision_ros.core.records import Estimate
-from hapticvision_ros.core.relaxation import relaxation_function
+from hapticvision_ros.core.relaxation import prony_series, PronySeries, relaxation_function
 import numpy as np
 import pytest
 
@@ -48,6 +47,11 @@ T = np.geomspace(1e-3, 1e2, 40)
 
 def _values(parameters: dict[str, Estimate]) -> dict[str, float]:
     return {name: estimate.value for name, estimate in parameters.items() if estimate.known}
+
+
+def _series(model: Model, parameters: dict[str, Estimate], specimen: Specimen) -> PronySeries:
+    relaxation = relaxation_function(model, _values(parameters))
+    return prony_series(relaxation, scale=specimen.modulus)
 
 
 def _relaxation_of(modulus: float, pairs: list[tuple[float, float]]) -> np.ndarray:
@@ -115,7 +119,7 @@ def test_a_specimen_has_a_size(area: float, height: float) -> None:
 
 
 def test_abaqus_lines_give_the_relaxation_of_the_chain_back() -> None:
-    series = finite_element_series(BURGERS_MODEL, BURGERS, BLOCK)
+    series = _series(BURGERS_MODEL, BURGERS, BLOCK)
     lines = abaqus(series, 0.45, ('a remark',)).splitlines()
     assert lines[0] == '** a remark'
     lines = [line for line in lines if not line.startswith('**')]
@@ -135,7 +139,7 @@ def test_abaqus_lines_give_the_relaxation_of_the_chain_back() -> None:
 def test_ansys_pairs_are_those_of_abaqus_in_commands_of_six_numbers() -> None:
     model = Model(('springpot',))
     parameters = DOUGH | {'alpha': Estimate(0.5)}
-    series = finite_element_series(model, parameters, BLOCK)
+    series = _series(model, parameters, BLOCK)
     pairs: dict[str, list[float]] = {}
     for line in ansys(series, 0.45).splitlines():
         command, *fields = line.split(',')
@@ -160,7 +164,7 @@ def test_printed_ratios_never_add_up_to_more_than_one() -> None:
     # A code refuses a material that is pushed back by its own long-term modulus.
     for K_0 in np.geomspace(2.1e3, 9.7e6, 50):
         parameters = DOUGH | {'K_0': Estimate(float(K_0))}
-        text = abaqus(finite_element_series(Model(('series_spring',)), parameters, BLOCK), 0.3)
+        text = abaqus(_series(Model(('series_spring',)), parameters, BLOCK), 0.3)
         assert 'the body flows' in text
         terms = text.partition('TIME=PRONY\n')[2].splitlines()
         assert sum(float(line.split(',')[0]) for line in terms) <= 1.0
@@ -168,7 +172,7 @@ def test_printed_ratios_never_add_up_to_more_than_one() -> None:
 
 @pytest.mark.parametrize('poisson', [0.5, -1.0, np.nan])
 def test_a_poisson_ratio_without_a_bulk_modulus_is_refused(poisson: float) -> None:
-    series = finite_element_series(BURGERS_MODEL, BURGERS, BLOCK)
+    series = _series(BURGERS_MODEL, BURGERS, BLOCK)
     for write in (abaqus, ansys):
         with pytest.raises(UsageError, match="Poisson's ratio"):
             write(series, poisson)
