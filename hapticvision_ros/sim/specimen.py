@@ -126,8 +126,8 @@ Effects that no library has.
 ``poroelasticity``: fluid is squeezed out, G(t) is Terzaghi's series, at first as 1 - t^(1/2);
 ``fracture``: a share of the section breaks once the surface is `depth` down;
 ``thixotropy``: C2 falls by `share` as it flows over `flow`, and recovers with rest;
-``support_slip``: above `force` the object jumps by `distance` on its support, once in a
-`pause`;
+``support_slip``: once in a `pause` the object slips on its support when the force passes `force`,
+by `distance` or until half of the force is left;
 ``unloading_stiffness``: K1 is less by `share` while it shortens its stretch;
 ``shoulder_contact``: from `depth` on a spring of the tool's shoulder joins in;
 ``backlash``: the tip follows the encoders only after `gap` when they turn;
@@ -446,7 +446,9 @@ _FIRST_RATE, _LAST_RATE = -28, 24
 """Range of ln s of the rates s of a springpot [1/s], in steps; the rule is exact to 1e-8."""
 _PORE_MODES = 24
 _SLIP_TIME = 0.02
-"""How long a jump on the support takes [s]."""
+"""How long a slip over the whole distance takes if the force stays as it is [s]."""
+_STUCK = 1.05
+"""A slip has ended when this times the force that holds is left."""
 _TURN_TIME = 0.02
 """How long the spring takes to have its other stiffness when its stretch turns [s]."""
 _SMALLEST_PATCH = 1e-6
@@ -483,21 +485,22 @@ _UNLOAD_SPEED = _SLOTS['unloading_stiffness', 'speed']
 _KS = _SLOTS['shoulder_contact', 'K_s']
 _KS_DEPTH = _SLOTS['shoulder_contact', 'depth']
 
-# Where the states stand: the stretches of K1, C2 and K_2, the jump on the support, the surface
+# Where the states stand: the stretches of K1, C2 and K_2, the slip on the support, the surface
 # and its speed; then what changes between steps only: largest stretch, structure of the
-# thixotropy, factor of the unloading, speed of the jump, unbroken share; then the modes of
+# thixotropy, factor of the unloading, mobility of the slip, unbroken share; then the modes of
 # springpot and pores.
 _Z, _Y, _ZU, _SHIFT, _H, _V, _Z_MAX, _BUILD, _TURN, _SLIDE, _WHOLE, _FIRST_MODE = range(12)
 
 
 @njit(cache=True, error_model='numpy')
 def _stage(  # type: ignore[no-untyped-def]
-    q, d_ref, factor, w, kept, give, flow, kp, kept_p, base, e, d, contact, out
+    q, d_ref, factor, w, kept, give, flow, kp, kept_p, base, e, d, v, a, contact, out
 ):
     """
     Set out in `out` an implicit stage of length e from `base`; return the contact force.
 
-    `kept` and `kept_p` are what a stage leaves of the modes of springpot and pores.
+    The tool is at d with the speed v and the acceleration a; `kept` and `kept_p` are what a stage
+    leaves of the modes of springpot and pores.
     """
     c1, c2 = q[1], q[2] * (1.0 - q[_THIXO] * (1.0 - base[_BUILD]))
     threshold = q[_FY] / factor
@@ -505,12 +508,12 @@ def _stage(  # type: ignore[no-untyped-def]
     beta, damage, exponent, growth_exponent = q[_BETA], q[_D], 1.0 / q[_N], q[_M_GROWTH]
     soft0, softm = 1.0 / q[_K0], 1.0 / q[_KM]
     x_before, v_before = base[_H], base[_V]
-    shift = base[_SHIFT] + e * base[_SLIDE]
+    sliding, held = e * base[_SLIDE], 0.5 * q[_SLIP_FORCE]
     unit, left_unit = 0.0, base[_ZU]
     if not np.isinf(q[_K2]):
         unit = e / (q[_C3] + e * q[_K2])
         left_unit = base[_ZU] * q[_C3] / (q[_C3] + e * q[_K2])
-    rest = base[_Y] + shift + left_unit
+    rest = base[_Y] + base[_SHIFT] + left_unit
     # The flow unit: C2 times the rate of its dashpot is what a springpot integrates.
     dashpot = e * flow * (q[2] / c2)
     yields = dashpot + give
@@ -529,6 +532,7 @@ def _stage(  # type: ignore[no-untyped-def]
     x = 0.0
     f = 0.0
     drive = 0.0
+    slid = 0.0
     total = 0.0
     for _ in range(_MOST_ITERATIONS):
         square = beta * z * z
@@ -553,6 +557,11 @@ def _stage(  # type: ignore[no-untyped-def]
                 drive = -drive
         x = z + f * (soft0 + unit) + rest + yields * drive
         dx = 1.0 + df * (soft0 + unit + yields * d_drive)
+        slid = 0.0
+        if sliding > 0.0 and f > held:
+            slid = sliding * (f - held)
+            x += slid
+            dx += sliding * df
         own = f + q[_KP] * x + pore + pore_gain * (x - x_before)
         d_own = df + (q[_KP] + pore_gain) * dx
         if x > q[_KS_DEPTH]:
@@ -565,8 +574,13 @@ def _stage(  # type: ignore[no-untyped-def]
             if part > _SMALLEST_PATCH:
                 d_own += own * growth_exponent * growth / (part * d_ref) * dx
             own *= growth
-        total = scale * own + q[_MASS] * ((x - x_before) / e - v_before) / e
-        d_total = scale * d_own + q[_MASS] * dx / (e * e)
+        total = scale * own
+        d_total = scale * d_own
+        if bound:
+            total += q[_MASS] * a
+        else:
+            total += q[_MASS] * ((x - x_before) / e - v_before) / e
+            d_total += q[_MASS] * dx / (e * e)
         if not contact:
             miss, d_miss = total, d_total
         elif bound:
@@ -593,9 +607,9 @@ def _stage(  # type: ignore[no-untyped-def]
     out[_Z] = z
     out[_Y] = base[_Y] + dashpot * drive
     out[_ZU] = left_unit + unit * f
-    out[_SHIFT] = shift
+    out[_SHIFT] = base[_SHIFT] + slid
     out[_H] = x
-    out[_V] = (x - x_before) / e
+    out[_V] = v if bound else (x - x_before) / e
     for j in range(_Z_MAX, _FIRST_MODE):
         out[j] = base[j]
     out[_Z_MAX] = max(z_max, z)
@@ -649,8 +663,24 @@ def _step(  # type: ignore[no-untyped-def]
                     middle[j] = state[j] + _AHEAD * (after[j] - state[j])
         at = h if stage else e
         d = path[0] + at * (path[1] + 0.5 * path[2] * at)
+        v = path[1] + path[2] * at
         force = _stage(
-            q, d_ref, factor, w, kept, give, flow, kp, kept_p, middle, e, d, contact, after
+            q,
+            d_ref,
+            factor,
+            w,
+            kept,
+            give,
+            flow,
+            kp,
+            kept_p,
+            middle,
+            e,
+            d,
+            v,
+            path[2],
+            contact,
+            after,
         )
         impulse += (e if stage else h - e) * force
     return impulse, force
@@ -658,7 +688,7 @@ def _step(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model='numpy')
 def _between_steps(q, before, after, h, force, timers):  # type: ignore[no-untyped-def]
-    """Change what the step's end changes in `after`; `timers` are of jump and pause [s]."""
+    """Change what the step's end changes in `after`; `timers` are pause [s] and start [m] of the slip."""
     if q[_THIXO] != 0.0:
         breaking = abs(after[_Y] - before[_Y]) / (h * q[_THIXO_FLOW])
         pace = breaking + 1.0 / q[_THIXO_REST]
@@ -672,13 +702,14 @@ def _between_steps(q, before, after, h, force, timers):  # type: ignore[no-untyp
         after[_WHOLE] = 1.0 - q[_CRACK]
     if q[_SLIP] != 0.0:
         timers[0] -= h
-        timers[1] -= h
-        if after[_SLIDE] != 0.0 and timers[0] <= 0.0:
-            after[_SLIDE] = 0.0
-        elif after[_SLIDE] == 0.0 and timers[1] <= 0.0 and force > q[_SLIP_FORCE]:
-            after[_SLIDE] = q[_SLIP] / _SLIP_TIME
-            timers[0] = _SLIP_TIME
-            timers[1] = q[_SLIP_PAUSE]
+        if after[_SLIDE] != 0.0:
+            enough = after[_SHIFT] - timers[1] >= q[_SLIP]
+            if enough or force <= 0.5 * q[_SLIP_FORCE] * _STUCK:
+                after[_SLIDE] = 0.0
+        elif timers[0] <= 0.0 and force > q[_SLIP_FORCE]:
+            after[_SLIDE] = 2.0 * q[_SLIP] / (_SLIP_TIME * q[_SLIP_FORCE])
+            timers[0] = q[_SLIP_PAUSE]
+            timers[1] = after[_SHIFT]
 
 
 @njit(cache=True, error_model='numpy')
