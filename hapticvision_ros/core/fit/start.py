@@ -24,9 +24,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from hapticvision_ros.core.fit.data import FitTrial
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.three_element import ThreeElement
 from hapticvision_ros.core.records import FloatArray
-from numba import njit
 import numpy as np
 
 _GRID: Final = 48
@@ -34,7 +34,7 @@ _LONGEST: Final = 100.0
 """The slowest relaxation that is tried, in durations of a contact."""
 
 
-@njit(cache=True)
+@kernel()
 def _products(duration, travel, force, count, times, out):  # type: ignore[no-untyped-def]
     """Add the products of speed, mean Maxwell stretch and force to `out`, shape (6, times)."""
     for k in range(times.size):

@@ -58,8 +58,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
-from numba import njit
 import numpy as np
 
 REFERENCE_RATE: Final = 1e-3
@@ -244,7 +244,7 @@ _B_E, _B_FLOW, _B_END, _B_K1, _B_C0, _B_CM, _B_KP, _B_OFF, _B_MASS, _BENT = rang
 """Derivatives along a direction: of e, h / C2 and kappa, and of numbers; their count."""
 
 
-@njit(cache=True, nogil=True, inline='always', error_model='numpy')
+@kernel(inline='always', error_model='numpy')
 def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
     """
     Return e in F_mean = k z + e u, its slope in k, and k x b'(x) for its others.
@@ -269,7 +269,7 @@ def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
     return k * value + c1 / h, value + x * slope, k * x * slope
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _end_weight(r):  # type: ignore[no-untyped-def]
     """
     Return kappa in F_end = F_start + kappa (F_mean - F_start), and its derivative.
@@ -288,7 +288,7 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
     return gone / left, (d_gone * left + gone * (d_gone * r + gone)) / (left * left)
 
 
-@njit(cache=True, nogil=True, inline='always', error_model='numpy')
+@kernel(inline='always', error_model='numpy')
 def _retarded_unit(  # type: ignore[no-untyped-def]
     u, z, z_max, h, k1, c1, against, beta, damage, d_ref
 ):
@@ -307,7 +307,7 @@ def _retarded_unit(  # type: ignore[no-untyped-def]
     return k * z + e * u, e + 0.5 * dk * (z + e_k * u), k, dk, e_k, e_x, middle
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _anchor(x, p, series):  # type: ignore[no-untyped-def]
     """Set out 1 / x, x^p and the binomial coefficients of p, for powers near x."""
     series[0] = 1.0 / x
@@ -318,7 +318,7 @@ def _anchor(x, p, series):  # type: ignore[no-untyped-def]
         series[1 + k] = term
 
 
-@njit(cache=True, nogil=True, inline='always', error_model='numpy')
+@kernel(inline='always', error_model='numpy')
 def _power(x, p, series):  # type: ignore[no-untyped-def]
     """Return x^p, by the binomial series where x is near the last anchor."""
     r = x * series[0] - 1.0
@@ -329,7 +329,7 @@ def _power(x, p, series):  # type: ignore[no-untyped-def]
     return series[1] * (1.0 + r * (series[2] + r * (series[3] + r * tail)))
 
 
-@njit(cache=True, nogil=True, inline='always', error_model='numpy')
+@kernel(inline='always', error_model='numpy')
 def _flow_unit(force, c2, f_y, p, series):  # type: ignore[no-untyped-def]
     """Return the rate of the flow unit, its slope, and the force beyond the threshold."""
     if f_y == 0.0 and p == 1.0:
@@ -348,7 +348,7 @@ def _flow_unit(force, c2, f_y, p, series):  # type: ignore[no-untyped-def]
     return rate, slope, excess
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+@kernel(error_model='numpy', inline='always')
 def _fallen(kept, stretch):  # type: ignore[no-untyped-def]
     """Return what is left of the further units' stretches after a step free of force."""
     total = 0.0
@@ -357,7 +357,7 @@ def _fallen(kept, stretch):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+@kernel(error_model='numpy', inline='always')
 def _fallen_tangent(j, give, d_force, kept, d_stretch):  # type: ignore[no-untyped-def]
     """Take tangent j of the further units from one step, with its force, into the next."""
     total = 0.0
@@ -367,7 +367,7 @@ def _fallen_tangent(j, give, d_force, kept, d_stretch):  # type: ignore[no-untyp
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy', inline='always')
+@kernel(error_model='numpy', inline='always')
 def _bent_tangent(j, d_kept, stretch, d_give, force, d_stretch):  # type: ignore[no-untyped-def]
     """Add what direction j changes of the further units themselves; return the sum of it."""
     total = 0.0
@@ -378,7 +378,7 @@ def _bent_tangent(j, d_kept, stretch, d_give, force, d_stretch):  # type: ignore
     return total
 
 
-@njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract', 'reassoc'})
+@kernel(error_model='numpy', fastmath={'contract', 'reassoc'})
 def _respond(  # type: ignore[no-untyped-def]
     t, d, q, ku, cu, dq, dku, dcu, force, surface, d_force, d_surface
 ):

@@ -17,7 +17,7 @@
 import math
 from typing import Final
 
-from numba import njit
+from hapticvision_ros.core.kernels import kernel
 import numpy as np
 
 _TURNS: Final = 64
@@ -26,7 +26,7 @@ _ASTRAY: Final = 1e-6
 """Angle [rad] by which stamps may leave even steps before they are."""
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def sample(t, value, d_value, at, out, d_out, slope):  # type: ignore[no-untyped-def]
     """
     Read a piecewise linear signal and its tangents; held at its ends.
@@ -64,7 +64,7 @@ def sample(t, value, d_value, at, out, d_out, slope):  # type: ignore[no-untyped
             d_out[j, k] = d_value[j, i] + weight * (d_value[j, i + 1] - d_value[j, i])
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     """
     Put step means through a first-order lag that starts at rest with the first of them.
@@ -120,7 +120,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
         value[i] += mean * away
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@kernel(error_model='numpy')
 def hum(  # type: ignore[no-untyped-def]
     t, amplitude, frequency, phase, value, d_value, row, row_frequency, row_phase
 ):

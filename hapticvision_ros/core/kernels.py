@@ -1,0 +1,51 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Kernels: functions compiled once for a machine, that let other threads run.
+
+numba keeps what it has compiled beside the source, or in the user's cache where that folder cannot
+be written to. Where neither can, as in a container without a home, it refuses the function; here
+it is then compiled anew by each process, which is slow to start but works.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """
+    Return a decorator that compiles a function.
+
+    Parameters
+    ----------
+    **options
+        Those of ``numba.njit``, such as ``error_model`` and ``inline``.
+
+    Returns
+    -------
+    callable
+        The decorator.
+
+    """
+
+    def compile_(function: Callable[..., Any]) -> Any:
+        try:
+            return njit(cache=True, nogil=True, **options)(function)
+        except RuntimeError:
+            return njit(nogil=True, **options)(function)
+
+    return compile_
