@@ -15,17 +15,37 @@
 """
 From trials to parameters: what the fitter node and the command line both call.
 
-Both give the same numbers because both run this and nothing else.
+Both give the same numbers because both run this and nothing else. `analyse` takes one trial by
+itself, by the paper's method; `analyse_campaign` fits one model to all trials together, looks for
+what it lacks, and measures how far either model misses the trials.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, TYPE_CHECKING
 
+from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
 from hapticvision_ros.core.fit.paper import fit_paper, PaperResult
-from hapticvision_ros.core.fit.waveform import fit_waveform, ModelFit
-from hapticvision_ros.core.records import Segmentation, Trial
+from hapticvision_ros.core.records import Estimate, Segmentation, Trial
 from hapticvision_ros.core.segmentation import segment
+
+if TYPE_CHECKING:
+    # The fitter node starts with this module: the campaign's fit would double its time to start.
+    from hapticvision_ros.core.composition import Model
+    from hapticvision_ros.core.diagnosis.records import Diagnosis, HeldOutChange, Misfits
+    from hapticvision_ros.core.fit.campaign import Fit, TrialFit
+    from hapticvision_ros.core.fit.held_out import Unseen
+
+type Progress = Callable[[str], None]
+"""Told what is being done, in a few words."""
+
+type HeldOutBy = Literal['name', 'condition']
+"""Whether trials were named to be held out, or each condition of the push was left out in turn."""
+
+MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
+NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +78,44 @@ class TrialAnalysis:
 
 
 @dataclass(frozen=True, slots=True)
+class FittedModel:
+    """
+    A model fitted to a campaign, and how far it misses the trials.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to Estimate
+        Its shared parameters in SI units, by name.
+    fit : Fit or None
+        The fit; None where no trial could be fitted.
+    trials : tuple of (TrialFit or None)
+        Each trial of the campaign beside the model; None where it could not be used.
+    unseen : tuple of (TrialFit or None)
+        Each trial that was named to be held out, beside the prediction.
+    train : Misfits or None
+        How far the model misses the trials that it was fitted to.
+    held_out : Misfits or None
+        How far it misses trials that its parameters have not seen.
+
+    """
+
+    model: 'Model'
+    parameters: Mapping[str, Estimate]
+    fit: 'Fit | None'
+    trials: 'tuple[TrialFit | None, ...]'
+    unseen: 'tuple[TrialFit | None, ...]'
+    train: 'Misfits | None'
+    held_out: 'Misfits | None'
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Return the SI unit of each parameter."""
+        return dict(zip(self.model.names, self.model.units, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
 class CampaignAnalysis:
     """
     What several trials on one object tell together.
@@ -65,13 +123,21 @@ class CampaignAnalysis:
     Parameters
     ----------
     trials : tuple of TrialAnalysis
-        The trials that the model was fitted to.
+        The trials that the models were fitted to.
     held_out : tuple of TrialAnalysis
-        The trials that the fit has not seen.
+        The trials that were named to be held out.
     noise : Noise
-        The median over `trials`.
-    before : ModelFit
-        The base three-element model, fitted to the force of push and hold of all `trials`.
+        Of one sample, to which chi squared refers.
+    before : FittedModel
+        The base three-element model.
+    after : FittedModel or None
+        The model with effects; None without any.
+    diagnosis : Diagnosis or None
+        What the base model lacks; None where the model was fixed or nothing could be fitted.
+    held_out_by : HeldOutBy or None
+        How the held-out errors came about; None without any.
+    change : HeldOutChange or None
+        By how much `after` changes the error on the held-out trials.
     warnings : tuple of str
         What holds for all trials together.
 
@@ -80,7 +146,11 @@ class CampaignAnalysis:
     trials: tuple[TrialAnalysis, ...]
     held_out: tuple[TrialAnalysis, ...]
     noise: Noise
-    before: ModelFit
+    before: FittedModel
+    after: FittedModel | None
+    diagnosis: 'Diagnosis | None'
+    held_out_by: HeldOutBy | None
+    change: 'HeldOutChange | None'
     warnings: tuple[str, ...]
 
 
@@ -96,47 +166,216 @@ def analyse(trial: Trial) -> TrialAnalysis:
 
 
 def analyse_campaign(
-    trials: Sequence[TrialAnalysis], held_out: Sequence[TrialAnalysis] = ()
+    trials: Sequence[TrialAnalysis],
+    held_out: Sequence[TrialAnalysis] = (),
+    *,
+    model: 'Model | None' = None,
+    progress: Progress | None = None,
+    workers: int = 1,
 ) -> CampaignAnalysis:
     """
-    Fit the base model to several analysed trials and measure how far it misses them.
+    Fit the base model to several analysed trials, and the model that has what it lacks.
 
     Parameters
     ----------
     trials : sequence of TrialAnalysis
         At least one trial to fit.
     held_out : sequence of TrialAnalysis
-        Trials that are only compared with.
+        Trials that are only predicted. Without any, and with two trials or more, each condition of
+        the push is left out in turn.
+    model : Model, optional
+        The model to fit beside the base model; without it the base model is diagnosed.
+    progress : callable, optional
+        Told what is being done.
+    workers : int
+        Threads.
 
     Returns
     -------
     CampaignAnalysis
-        Without a diagnosis: this version does not look for what the model lacks.
+        Both models, and how far they miss seen and unseen trials.
 
     """
-    noise = pool_noise([trial.noise for trial in trials])
-    before = fit_waveform(
-        [(trial.trial, trial.segmentation) for trial in trials],
-        [(trial.trial, trial.segmentation) for trial in held_out],
-        noise,
+    from hapticvision_ros.core.composition import Model
+
+    tell = _say_nothing if progress is None else progress
+    try:
+        before, after, diagnosis, warnings = _fits(trials, model, tell, workers)
+    except UsageError as error:
+        return _nothing_fitted(trials, held_out, Model(), str(error))
+    return _compared(trials, held_out, before, after, diagnosis, warnings, tell)
+
+
+def _fits(
+    trials: Sequence[TrialAnalysis], model: 'Model | None', tell: Progress, workers: int
+) -> 'tuple[Fit, Fit | None, Diagnosis | None, list[str]]':
+    """Return the base fit, that with effects, what was found, and what to know of it."""
+    from hapticvision_ros.core.composition import Model
+    from hapticvision_ros.core.fit.campaign import fit
+
+    if model is None:
+        from hapticvision_ros.core.diagnosis.search import diagnose
+
+        found = diagnose(trials, progress=tell, workers=workers)
+        told = list(found.warnings)
+        if found.effects:
+            return found.before, found.after, found, told
+        return found.before, None, found, [*told, NOTHING_ADDED]
+    tell(f'fitting the {Model().name} model')
+    before = fit(trials, Model())
+    if not model.effects:
+        return before, None, None, [MODEL_FIXED]
+    tell(f'fitting the {model.name} model')
+    try:
+        return before, fit(trials, model), None, [MODEL_FIXED]
+    except UsageError as error:
+        return before, None, None, [MODEL_FIXED, str(error).rstrip('.')]
+
+
+def _compared(
+    trials: Sequence[TrialAnalysis],
+    held_out: Sequence[TrialAnalysis],
+    before: 'Fit',
+    after: 'Fit | None',
+    diagnosis: 'Diagnosis | None',
+    warnings: Sequence[str],
+    tell: Progress,
+) -> CampaignAnalysis:
+    """Return the analysis with how far the models miss the trials."""
+    from hapticvision_ros.core.fit.held_out import (
+        fitted_trials,
+        held_out_change,
+        misfits,
+        sample_noise,
     )
-    warnings = [
-        'this version measures how far the three-element model misses the trials and does not '
-        'diagnose why'
-    ]
-    if not held_out:
-        warnings.append(
-            'nothing is held out: the error on unseen trials needs more trials than one'
-            if len(trials) == 1
-            else 'nothing is held out: the error on unseen trials is unknown'
-        )
+
+    fits = [before] if after is None else [before, after]
+    seen = [fitted_trials(one, trials) for one in fits]
+    noise = sample_noise(fits[-1], seen[-1], trials)
+    told = list(warnings)
+    if held_out:
+        tell('predicting the trials held out')
+        by: HeldOutBy | None = 'name'
+        unseen, against = _predicted(trials, held_out, fits), held_out
+    else:
+        tell('leaving out each condition of the push in turn')
+        by, unseen, against = 'condition', _left_out(trials, fits), trials
+    errors = [misfits(one.trials, against, noise) for one in unseen]
+    if not any(errors):
+        by, errors, unseen = None, [None] * len(fits), []
+        told.append(_why_nothing_is_held_out(trials, held_out))
+    for one in unseen[:1]:
+        told += one.warnings
     for symbol, estimate in (('force', noise.force), ('height', noise.height)):
         if estimate.reason is not None:
-            warnings.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
+            told.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
+    models = [
+        FittedModel(
+            model=one.model,
+            parameters=one.parameters,
+            fit=one,
+            trials=beside,
+            unseen=unseen[index].trials if by == 'name' else (),
+            train=misfits(beside, trials, noise),
+            held_out=errors[index],
+        )
+        for index, (one, beside) in enumerate(zip(fits, seen, strict=True))
+    ]
     return CampaignAnalysis(
         trials=tuple(trials),
         held_out=tuple(held_out),
         noise=noise,
-        before=before,
-        warnings=(*warnings, *before.warnings),
+        before=models[0],
+        after=None if after is None else models[1],
+        diagnosis=diagnosis,
+        held_out_by=by,
+        change=held_out_change(*unseen) if len(unseen) > 1 else None,
+        warnings=tuple(dict.fromkeys((*told, *_of_models(fits)))),
     )
+
+
+def _of_models(fits: 'Sequence[Fit]') -> list[str]:
+    """Return what the fits warn of: what not all of them say, with the name of the model."""
+    said = []
+    for one in fits:
+        doubtful = [
+            f'{name} with caution: {estimate.reason}'
+            for name, estimate in one.parameters.items()
+            if estimate.known and estimate.reason is not None
+        ]
+        said.append([*one.warnings, *doubtful])
+    shared = [warning for warning in said[0] if all(warning in each for each in said)]
+    return shared + [
+        f'{one.model.name}: {warning}'
+        for one, each in zip(fits, said, strict=True)
+        for warning in each
+        if warning not in shared
+    ]
+
+
+def _predicted(
+    trials: Sequence[TrialAnalysis], held_out: Sequence[TrialAnalysis], fits: 'Sequence[Fit]'
+) -> 'list[Unseen]':
+    """Return the trials held out beside what each fit says of them."""
+    from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
+
+    return [
+        predict_unseen(Trained.of(one, trials), held_out, noise=fits[-1].noise) for one in fits
+    ]
+
+
+def _left_out(trials: Sequence[TrialAnalysis], fits: 'Sequence[Fit]') -> 'list[Unseen]':
+    """Return each trial beside what each model says of it whose parameters have not seen it."""
+    from collections.abc import Collection
+
+    from hapticvision_ros.core.fit.held_out import (
+        leave_one_condition_out,
+        prepared_of,
+        refit_without,
+        Trained,
+    )
+
+    def refit(left_out: Collection[int]) -> list[Trained]:
+        trained = (refit_without(one, trials, left_out) for one in fits)
+        return [one for one in trained if one is not None]
+
+    prepared = prepared_of(fits[-1])
+    return list(leave_one_condition_out(trials, refit, prepared, fits[-1].noise))
+
+
+def _why_nothing_is_held_out(
+    trials: Sequence[TrialAnalysis], held_out: Sequence[TrialAnalysis]
+) -> str:
+    """Return why there is no error on unseen trials."""
+    if held_out:
+        return 'the error on unseen trials is unknown: none of those held out could be used'
+    if len(trials) == 1:
+        return 'nothing is held out: the error on unseen trials needs more trials than one'
+    return 'nothing is held out: the error on unseen trials needs more than one usable trial'
+
+
+def _nothing_fitted(
+    trials: Sequence[TrialAnalysis],
+    held_out: Sequence[TrialAnalysis],
+    model: 'Model',
+    why: str,
+) -> CampaignAnalysis:
+    """Return an analysis in which everything that a fit tells is unknown."""
+    reason = 'no trial could be fitted'
+    noise = pool_noise([trial.noise for trial in trials])
+    warnings = [why.rstrip('.'), _why_nothing_is_held_out(trials, held_out)]
+    for symbol, estimate in (('force', noise.force), ('height', noise.height)):
+        if estimate.reason is not None:
+            warnings.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
+    unknown = MappingProxyType(dict.fromkeys(model.names, Estimate.unknown(reason)))
+    nothing = FittedModel(
+        model, unknown, None, (None,) * len(trials), (None,) * len(held_out), None, None
+    )
+    warnings += [f'{name} is unknown: {reason}' for name in model.names]
+    return CampaignAnalysis(
+        tuple(trials), tuple(held_out), noise, nothing, None, None, None, None, tuple(warnings)
+    )
+
+
+def _say_nothing(what: str) -> None:
+    """Tell nobody."""

@@ -18,8 +18,16 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any, Final
 
-from hapticvision_ros.core.fit.waveform import ModelError, ModelFit
-from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
+from hapticvision_ros.core.diagnosis.records import (
+    Candidate,
+    Channel,
+    Diagnosis,
+    Misfit,
+    Misfits,
+    NextTrial,
+)
+from hapticvision_ros.core.fit.held_out import labels, PHASES
+from hapticvision_ros.core.pipeline import CampaignAnalysis, FittedModel, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
 
 SCHEMA: Final = 'hapticvision/result/1'
@@ -36,6 +44,9 @@ PAPER_KEYS: Final = (
     ('C2_Ns_m', 'C2'),
 )
 """Key in the file and name of the estimate of the paper's method."""
+
+CHANNELS: Final[tuple[tuple[Channel, str], ...]] = (('force', 'N'), ('height', 'm'))
+"""What is measured, and the unit of its residual."""
 
 
 def result_document(
@@ -65,6 +76,13 @@ def result_document(
         _trial(analysis, bag, ('held out: the model was not fitted to this trial',))
         for analysis, bag in zip(campaign.held_out, held_out_bags, strict=True)
     ]
+    names = {
+        'train': dict(zip(labels(campaign.trials), bags, strict=True)),
+        'held_out': dict(zip(labels(campaign.trials), bags, strict=True))
+        if campaign.held_out_by == 'condition'
+        else dict(zip(labels(campaign.held_out), held_out_bags, strict=True)),
+    }
+    change = campaign.change
     return {
         'schema': SCHEMA,
         'trials': trials,
@@ -72,9 +90,17 @@ def result_document(
             'force_N': _number(campaign.noise.force.value),
             'height_m': _number(campaign.noise.height.value),
         },
-        'before': _model(campaign.before),
-        'diagnosis': None,
-        'after': None,
+        'before': _model(campaign.before, names),
+        'diagnosis': None if campaign.diagnosis is None else _diagnosis(campaign.diagnosis),
+        'after': None if campaign.after is None else _model(campaign.after, names),
+        'held_out_by': campaign.held_out_by,
+        'held_out_change': None
+        if change is None
+        else {
+            'ratio': _number(change.ratio),
+            'change': _number(change.change),
+            'std': _number(change.std),
+        },
         'warnings': list(campaign.warnings),
     }
 
@@ -110,32 +136,118 @@ def _trial(analysis: TrialAnalysis, bag: str, warnings: Sequence[str]) -> dict[s
     }
 
 
-def _model(fit: ModelFit) -> dict[str, Any]:
-    """Return the entry of a fitted model."""
+def _model(fitted: FittedModel, names: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
+    """Return the entry of a fitted model; `names` has the bag of each trial's label."""
+    sides = {'train': fitted.train, 'held_out': fitted.held_out}
     return {
-        'model': fit.model,
+        'model': fitted.model.name,
         'parameters': {
             name: {
                 'value': _number(estimate.value),
                 'std': _number(estimate.std),
-                'unit': fit.units[name],
+                'unit': fitted.units[name],
                 'identifiable': estimate.known,
             }
-            for name, estimate in fit.parameters.items()
+            for name, estimate in fitted.parameters.items()
         },
-        'error': {'train': _error(fit.train), 'held_out': _error(fit.held_out)},
+        'error': {
+            **{side: None if of is None else _error(of.total) for side, of in sides.items()},
+            'percent_of_range': {
+                side: None
+                if of is None
+                else {channel: _percent(of.total.get(channel)) for channel, _ in CHANNELS}
+                for side, of in sides.items()
+            },
+            'by_phase': {
+                side: None if of is None else _by_phase(of) for side, of in sides.items()
+            },
+            'by_trial': {
+                side: None if of is None else _by_trial(of, names[side])
+                for side, of in sides.items()
+            },
+        },
     }
 
 
-def _error(error: ModelError | None) -> dict[str, float | None] | None:
-    """Return the entry of the errors on one set of trials."""
-    if error is None:
-        return None
+def _error(of: Mapping[Channel, Misfit]) -> dict[str, float | None]:
+    """Return the entry of the errors on some samples; null without any in that channel."""
+    values = {
+        f'{channel}_rmse_{unit}': _number(of[channel].rmse) if channel in of else None
+        for channel, unit in CHANNELS
+    }
+    values |= {
+        f'{channel}_chi2': _number(of[channel].chi2) if channel in of else None
+        for channel, _ in CHANNELS
+    }
+    return values
+
+
+def _percent(misfit: Misfit | None) -> float | None:
+    """Return an error in percent of the range of what was measured."""
+    return None if misfit is None else _number(misfit.percent_of_range)
+
+
+def _detail(of: Mapping[Channel, Misfit]) -> dict[str, float | None]:
+    """Return the entry of the errors on a part of the samples, with their percentages."""
+    percent = {f'{channel}_percent_of_range': _percent(of.get(channel)) for channel, _ in CHANNELS}
+    return _error(of) | percent
+
+
+def _by_phase(of: Misfits) -> dict[str, dict[str, float | None]]:
+    """Return the errors in each phase that has samples."""
+    found = {
+        phase: {c: of.by_phase[c, phase] for c, _ in CHANNELS if (c, phase) in of.by_phase}
+        for phase in PHASES
+    }
+    return {phase: _detail(misfit) for phase, misfit in found.items() if misfit}
+
+
+def _by_trial(of: Misfits, bags: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return the errors in each trial that could be compared."""
+    found = {
+        label: {c: of.by_trial[label, c] for c, _ in CHANNELS if (label, c) in of.by_trial}
+        for label in bags
+    }
+    return [{'bag': bags[label], **_detail(misfit)} for label, misfit in found.items() if misfit]
+
+
+def _diagnosis(found: Diagnosis) -> dict[str, Any]:
+    """Return the entry of the diagnosis."""
+    rest = found.unexplained
     return {
-        'force_rmse_N': _number(error.force_rmse),
-        'height_rmse_m': _number(error.height_rmse),
-        'force_chi2': _number(error.force_chi2),
-        'height_chi2': _number(error.height_chi2),
+        'status': found.status,
+        'effects': list(found.effects),
+        'sets': [list(each) for each in found.sets],
+        'not_testable': list(found.not_testable),
+        'look_alikes': [[one, other, _number(cos)] for one, other, cos in found.look_alikes],
+        'ranking': [_candidate(candidate) for candidate in found.ranking],
+        'unexplained': None
+        if rest is None
+        else {'share_of_chi2': _number(rest.share_of_chi2), 'where': list(rest.where)},
+        'next_trial': None if found.next_trial is None else _next_trial(found.next_trial),
+    }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    """Return the entry of one effect of the ranking."""
+    return {
+        'effect': candidate.effect,
+        'score': _number(candidate.score),
+        'delta_bic': _number(candidate.delta_bic),
+        'held_out_ratio': _number(candidate.held_out_ratio),
+        'strength': _number(candidate.strength),
+    }
+
+
+def _next_trial(trial: NextTrial) -> dict[str, Any]:
+    """Return the entry of the trial to push next."""
+    return {
+        'push_speed_m_s': _number(trial.push_speed),
+        'depth_m': _number(trial.depth),
+        'hold_s': _number(trial.hold_time),
+        'separates': list(trial.separates),
+        'gain': _number(trial.gain),
+        'reason': trial.reason,
     }
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 type Window = tuple[float, float]
-type Role = Literal['measured', 'tool', 'paper', 'base']
+type Role = Literal['measured', 'tool', 'paper', 'base', 'after']
 
 _BINS: Final = 500
 _MARKERS_UP_TO: Final = 150
@@ -37,7 +37,7 @@ _ROOM_FOR_A_LETTER: Final = 0.009
 _ROOM_BESIDE_A_NAME: Final = 0.035
 _COLUMNS: Final = (1.0, 2.3)
 # A layout that is computed from the extent of every label takes longer than all the drawing.
-_MARGINS: Final = {
+_MARGINS: Final[dict[str, float]] = {
     'left': 0.1,
     'right': 0.992,
     'bottom': 0.115,
@@ -49,6 +49,7 @@ _CLOSE_UP_BELOW: Final = 0.2
 _LABEL_PLACE: Final = -0.085
 _WIDTH_IN: Final = 9.6
 _HEIGHT_IN: Final = 4.3
+_ROW_IN: Final = 1.0
 _NOISE_BAND_SIGMAS: Final = 2.0
 _RESIDUAL_WIDTH: Final = 0.8
 _GLITCH_SHARE: Final = 0.002
@@ -67,6 +68,7 @@ _COLOURS: Final[dict[Role, str]] = {
     'tool': '#01020c',
     'paper': '#010209',
     'base': '#01020a',
+    'after': '#01020d',
 }
 _VARIABLES: Final = {
     _INK: 'var(--ink)',
@@ -79,18 +81,21 @@ _VARIABLES: Final = {
     _COLOURS['tool']: 'var(--tool)',
     _COLOURS['paper']: 'var(--paper-fit)',
     _COLOURS['base']: 'var(--base-fit)',
+    _COLOURS['after']: 'var(--after-fit)',
 }
 _DASHES: Final[dict[Role, str]] = {
     'measured': '-',
     'tool': ':',
     'paper': '--',
     'base': '-',
+    'after': '-',
 }
 _WIDTHS: Final[dict[Role, float]] = {
     'measured': 1.1,
     'tool': 1.3,
     'paper': 1.9,
     'base': 1.5,
+    'after': 1.5,
 }
 
 
@@ -101,7 +106,7 @@ class Series:
 
     Parameters
     ----------
-    role : {'measured', 'tool', 'paper', 'base'}
+    role : {'measured', 'tool', 'paper', 'base', 'after'}
         What it is: decides colour and dashes.
     label : str
         What the legend calls it.
@@ -148,8 +153,8 @@ class Panel:
         Its unit.
     lines : tuple of Series
         The measured signal first, then the fits.
-    residuals : tuple of Series
-        Measured minus fitted, one for each fit.
+    residuals : tuple of (tuple of Series)
+        Measured minus fitted: a row of the picture for each group, as their sizes differ.
     noise : float or None
         One standard deviation of a sample, in `unit`.
     phases : tuple of Phase
@@ -162,7 +167,7 @@ class Panel:
     quantity: str
     unit: str
     lines: tuple[Series, ...]
-    residuals: tuple[Series, ...]
+    residuals: tuple[tuple[Series, ...], ...]
     noise: float | None
     phases: tuple[Phase, ...]
     marks: tuple[Mark, ...]
@@ -244,7 +249,8 @@ def _close_up(panel: Panel, span: Window) -> Window | None:
     push = next((phase for phase in panel.phases if phase.name == 'push'), None)
     if push is None or push.stop - push.start > _CLOSE_UP_BELOW * (span[1] - span[0]):
         return None
-    if not any(np.any((one.t > push.start) & (one.t < push.stop)) for one in panel.residuals):
+    fits = [one for row in panel.residuals for one in row]
+    if not any(np.any((one.t > push.start) & (one.t < push.stop)) for one in fits):
         return None  # No fit to be judged there.
     length = push.stop - push.start
     return max(span[0], push.start - 0.5 * length), min(span[1], push.stop + 1.0 * length)
@@ -317,7 +323,7 @@ def svg(panel: Panel, salt: str) -> str:
     str
         An ``<svg>`` element for a page that defines the CSS variables ``--ink``, ``--soft``,
         ``--grid``, ``--band``, ``--shade-a``, ``--shade-b``, ``--measured``,
-        ``--tool``, ``--paper-fit`` and ``--base-fit``.
+        ``--tool``, ``--paper-fit``, ``--base-fit`` and ``--after-fit``.
 
     """
     import matplotlib as mpl
@@ -348,17 +354,17 @@ def svg(panel: Panel, salt: str) -> str:
             'path.simplify': True,
         }
     ):
-        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN))
-        figure.subplots_adjust(**_MARGINS)
+        rows = len(panel.residuals)
+        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN + _ROW_IN * max(0, rows - 1)))
+        figure.subplots_adjust(**_margins(figure.get_figheight()))
         FigureCanvasSVG(figure)
         figure.patch.set_alpha(0.0)
-        rows = 2 if panel.residuals else 1
         grid = figure.subplots(
-            rows,
+            1 + rows,
             len(windows),
             squeeze=False,
             sharex='col',
-            height_ratios=[2.6, 1.0][:rows],
+            height_ratios=[2.6, *[1.0] * rows],
             width_ratios=shares,
         )
         for column, window in enumerate(windows):
@@ -367,15 +373,14 @@ def svg(panel: Panel, salt: str) -> str:
                 _draw(top, series, window, thin=False)
             _label_phases(top, panel, window, shares[column])
             content = [(top, panel.lines)]
-            if panel.residuals:
-                bottom = grid[1][column]
+            for below, residuals in zip(grid[1:, column], panel.residuals, strict=True):
                 if panel.noise:
                     band = _NOISE_BAND_SIGMAS * panel.noise
-                    bottom.axhspan(-band, band, color=_BAND, linewidth=0, zorder=0)
-                bottom.axhline(0.0, color=_INK, linewidth=0.6)
-                for series in panel.residuals:
-                    _draw(bottom, series, window, thin=True)
-                content.append((bottom, panel.residuals))
+                    below.axhspan(-band, band, color=_BAND, linewidth=0, zorder=0)
+                below.axhline(0.0, color=_INK, linewidth=0.6)
+                for series in residuals:
+                    _draw(below, series, window, thin=True)
+                content.append((below, residuals))
             for axes, lines in content:
                 _shade(axes, panel)
                 axes.set_xlim(*window)
@@ -389,8 +394,8 @@ def svg(panel: Panel, salt: str) -> str:
                 axes.locator_params(axis='y', nbins=6 if axes is top else 4)
             content[-1][0].set_xlabel('Time [s]')
         grid[0][0].set_ylabel(f'{panel.quantity} [{panel.unit}]')
-        if panel.residuals:
-            grid[1][0].set_ylabel(f'Residual [{panel.unit}]')
+        for below, name in zip(grid[1:, 0], _names_of_rows(rows), strict=True):
+            below.set_ylabel(f'{name} [{panel.unit}]')
         for axes in grid[:, 0]:
             axes.yaxis.set_label_coords(_LABEL_PLACE / shares[0], 0.5)
         handles, labels = grid[0][-1].get_legend_handles_labels()
@@ -405,6 +410,21 @@ def svg(panel: Panel, salt: str) -> str:
         stream = io.StringIO()
         figure.savefig(stream, format='svg', metadata={'Date': None})
     return _for_a_page(stream.getvalue())
+
+
+def _names_of_rows(rows: int) -> tuple[str, ...]:
+    """Return what the rows of residuals are called."""
+    return ('Residual',) if rows == 1 else ('Before', 'After')[:rows]
+
+
+def _margins(height: float) -> dict[str, float]:
+    """Return the margins of a picture of some height [in]: what is beside the axes stays so."""
+    share = _HEIGHT_IN / height
+    return {
+        **_MARGINS,
+        'bottom': _MARGINS['bottom'] * share,
+        'top': 1.0 - (1.0 - _MARGINS['top']) * share,
+    }
 
 
 def _for_a_page(document: str) -> str:

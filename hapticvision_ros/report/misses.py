@@ -12,93 +12,123 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+"""How far the models miss each trial, in numbers and in plain words."""
 
-"""How far the whole-waveform fit misses a trial, in numbers and in plain words."""
-
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 from typing import Final
 
-from hapticvision_ros.core.fit.waveform import Prediction
-from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
+from hapticvision_ros.core.diagnosis.records import Channel, Misfit
+from hapticvision_ros.core.fit.campaign import TrialFit
+from hapticvision_ros.core.fit.held_out import labels, PHASES, residuals
+from hapticvision_ros.core.pipeline import CampaignAnalysis, FittedModel, TrialAnalysis
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.report.quantities import (
+    Dimension,
     format_number,
     format_quantity,
     SI_UNITS,
     UnitSystem,
 )
-import numpy as np
 
 ROUGH: Final = 2
 """Digits of a misfit: it is a size, not a measurement."""
+DIMENSIONS: Final[Mapping[Channel, Dimension]] = {'force': 'force', 'height': 'length'}
+IN_CONTACT: Final = ('push', 'hold')
 
 
 @dataclass(frozen=True, slots=True)
-class Miss:
+class Beside:
     """
-    How far the model misses the force of a trial.
+    One trial beside a model.
 
     Parameters
     ----------
-    rmse : float
-        Root mean square of measured minus fitted [N].
-    share_of_peak : float or None
-        The same over the largest force of the trial [-]; None where no force was measured.
+    model : FittedModel
+        The model.
+    trial : TrialFit
+        What it says of the trial.
+    misfit : mapping of Channel to Misfit
+        How far it misses each channel.
 
     """
 
-    rmse: float
-    share_of_peak: float | None
-
-    def text(self, units: UnitSystem) -> str:
-        """Return the size in the unit of force, and in percent of the peak."""
-        size = format_quantity(self.rmse, units['force'], digits=ROUGH)
-        if self.share_of_peak is None:
-            return size
-        share = format_number(100.0 * self.share_of_peak, digits=ROUGH)
-        return f'{size} ({share}\u00a0% of peak)'
+    model: FittedModel
+    trial: TrialFit
+    misfit: Mapping[Channel, Misfit]
 
 
-def force_miss(prediction: Prediction) -> Miss:
-    """Return how far the model misses the force of a trial over push and hold together."""
-    rmse = _rms(prediction.force.value - prediction.force_fitted)
-    # A phase that the model follows exactly does not tell the peak.
-    peaks = [miss.rmse / miss.share_of_peak for miss in prediction.misses if miss.share_of_peak]
-    return Miss(rmse, rmse / peaks[0] if peaks else None)
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """
+    One trial as the report shows it.
+
+    Parameters
+    ----------
+    analysis : TrialAnalysis
+        The trial.
+    held_out : bool
+        Whether it was named to be held out of the fit.
+    before, after : Beside or None
+        The trial beside the base model and the one with effects; None where either is not there
+        or could not be compared.
+
+    """
+
+    analysis: TrialAnalysis
+    held_out: bool
+    before: Beside | None
+    after: Beside | None
 
 
-def height_miss(prediction: Prediction) -> float | None:
-    """Return the root mean square by which the model misses the free recovery [m], if seen."""
-    if prediction.height is None or prediction.height_fitted is None:
+def shown(campaign: CampaignAnalysis) -> list[Shown]:
+    """Return all trials of a campaign beside its models, those held out last."""
+    models = (campaign.before, campaign.after)
+    found = []
+    for held_out in (False, True):
+        analyses = campaign.held_out if held_out else campaign.trials
+        for index, label in enumerate(labels(analyses)):
+            before, after = (
+                None if model is None else _beside(model, label, index, held_out)
+                for model in models
+            )
+            found.append(Shown(analyses[index], held_out, before, after))
+    return found
+
+
+def _beside(model: FittedModel, label: str, index: int, held_out: bool) -> Beside | None:
+    """Return a trial beside a model, if the model says anything of it."""
+    trials = model.unseen if held_out else model.trials
+    errors = model.held_out if held_out else model.train
+    trial = trials[index] if index < len(trials) else None
+    if trial is None or errors is None:
         return None
-    return _rms(prediction.height.value - prediction.height_fitted)
+    channels: tuple[Channel, ...] = ('force', 'height')
+    return Beside(
+        model,
+        trial,
+        {c: errors.by_trial[label, c] for c in channels if (label, c) in errors.by_trial},
+    )
 
 
-def _rms(residual: FloatArray) -> float:
-    return math.sqrt(float(np.mean(residual**2)))
-
-
-def paired(
-    campaign: CampaignAnalysis,
-) -> Iterator[tuple[TrialAnalysis, Prediction | None, bool]]:
-    """Yield each trial with its prediction and whether it was held out of the fit."""
-    fit = campaign.before
-    for analysis, prediction in zip(campaign.trials, fit.predictions, strict=True):
-        yield analysis, prediction, False
-    for analysis, prediction in zip(campaign.held_out, fit.held_out_predictions, strict=True):
-        yield analysis, prediction, True
+def size_text(misfit: Misfit, channel: Channel, units: UnitSystem) -> str:
+    """Return the size of a misfit in its unit, and in percent of the measured range."""
+    size = format_quantity(misfit.rmse, units[DIMENSIONS[channel]], digits=ROUGH)
+    if misfit.percent_of_range is None:
+        return size
+    share = format_number(misfit.percent_of_range, digits=ROUGH)
+    return f'{size} ({share}\u00a0% of its range)'
 
 
 def verdicts(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> list[str]:
     """
-    Return one plain sentence a trial on how far the three-element model misses it.
+    Return one plain sentence a trial on how far the models miss it.
 
     Parameters
     ----------
     campaign : CampaignAnalysis
-        The trials and the fit.
+        The trials and the fits.
     units : mapping of str to Unit
         Units of display.
 
@@ -108,24 +138,72 @@ def verdicts(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> list[s
         In the order of the trials, those held out last.
 
     """
-    return [_verdict(*triple, units) for triple in paired(campaign)]
+    return [_verdict(one, campaign, units) for one in shown(campaign)]
 
 
-def _verdict(
-    analysis: TrialAnalysis, prediction: Prediction | None, held_out: bool, units: UnitSystem
-) -> str:
-    name = analysis.trial.name + (' (held out)' if held_out else '')
-    if prediction is None:
+def _verdict(one: Shown, campaign: CampaignAnalysis, units: UnitSystem) -> str:
+    name = one.analysis.trial.name + (' (held out)' if one.held_out else '')
+    if one.before is None or 'force' not in one.before.misfit:
         return f'{name}: the three-element model could not be compared with this trial.'
-    parts = [f'the three-element model misses the force by {force_miss(prediction).text(units)}']
+    miss = one.before.misfit['force']
+    text = f'the three-element model misses the force by {size_text(miss, "force", units)}'
+    part = residuals(one.before.trial, one.analysis.segmentation, 'force')
+    sizes = [
+        (phase, part.residual[part.phase == index])
+        for index, phase in enumerate(PHASES)
+        if phase in IN_CONTACT
+    ]
     phases = [
-        f'{format_quantity(miss.rmse, units["force"], digits=ROUGH)} in the {miss.phase}'
-        for miss in prediction.misses
+        f'{format_quantity(_rms(each), units["force"], digits=ROUGH)} in the {phase}'
+        for phase, each in sizes
+        if each.size
     ]
     if len(phases) > 1:
-        parts.append(f': {" and ".join(phases)}')
-    noise = analysis.noise.force.value
+        text += f': {" and ".join(phases)}'
+    noise = campaign.noise.force.value
     if noise:
-        times = format_number(force_miss(prediction).rmse / noise, digits=ROUGH)
-        parts.append(f', {times} times the noise of a sample')
-    return f'{name}: {"".join(parts)}.'
+        text += f', {format_number(miss.rmse / noise, digits=ROUGH)} times the noise of a sample'
+    if one.after is not None and 'force' in one.after.misfit:
+        text += f'; {one.after.model.model.name} by '
+        text += size_text(one.after.misfit['force'], 'force', units)
+    return f'{name}: {text}.'
+
+
+def _rms(residual: FloatArray) -> float:
+    return math.sqrt(float(residual @ residual) / residual.size)
+
+
+def held_out_sentences(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> list[str]:
+    """Return how far the models miss trials that their parameters have not seen."""
+    before = campaign.before.held_out
+    if before is None:
+        return []
+    how = (
+        'On the trials held out'
+        if campaign.held_out_by == 'name'
+        else 'On each speed and depth in turn, predicted from the others,'
+    )
+    after = None if campaign.after is None else campaign.after.held_out
+    sentences = []
+    channels: tuple[tuple[Channel, str], ...] = (
+        ('force', 'force'),
+        ('height', 'displacement height'),
+    )
+    for channel, what in channels:
+        if channel not in before.total:
+            continue
+        text = f'{how} the three-element model misses the {what} by '
+        text += size_text(before.total[channel], channel, units)
+        if after is not None and campaign.after is not None and channel in after.total:
+            text += f', {campaign.after.model.name} by '
+            text += size_text(after.total[channel], channel, units)
+        sentences.append(f'{text}.')
+    change = campaign.change
+    if change is not None:
+        ratio = format_number(change.ratio, digits=3)
+        text = f'Weighted by the noise, the squares there become {ratio} times as large'
+        if change.std > 0.0:
+            size = format_number(change.change, change.std)
+            text += f' (a change of {size} a trial, with its standard error over the trials)'
+        sentences.append(f'{text}.')
+    return sentences

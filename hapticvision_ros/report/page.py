@@ -27,6 +27,8 @@ from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.quantities import SI_UNITS, UnitSystem
 from hapticvision_ros.report.sections import (
     caveats,
+    diagnosis,
+    errors,
     method,
     parameters,
     provenance,
@@ -38,7 +40,9 @@ type Fill = Callable[[CampaignAnalysis, UnitSystem], Mapping[str, object]]
 
 SECTIONS: Final[tuple[tuple[str, Fill], ...]] = (
     ('summary', summary.fill),
+    ('diagnosis', diagnosis.fill),
     ('parameters', parameters.fill),
+    ('errors', errors.fill),
     ('caveats', caveats.fill),
     ('trials', trials.fill),
     ('provenance', provenance.fill),

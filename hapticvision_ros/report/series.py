@@ -18,17 +18,16 @@
 import math
 from typing import Final
 
+from hapticvision_ros.core.diagnosis.records import Channel
 from hapticvision_ros.core.fit.exponential import ExponentialFit
-from hapticvision_ros.core.fit.waveform import Prediction
 from hapticvision_ros.core.pipeline import TrialAnalysis
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
 from hapticvision_ros.report.figure import Mark, Panel, Phase, Role, Series
+from hapticvision_ros.report.misses import Beside, Shown
 from hapticvision_ros.report.quantities import UnitSystem
 
 PAPER_FORCE_LABEL: Final = 'eq. (4), hold alone'
 PAPER_HEIGHT_LABEL: Final = 'eq. (10), recovery alone'
-BASE_FORCE_LABEL: Final = 'three-element model, push and hold together'
-BASE_HEIGHT_LABEL: Final = 'three-element model with the parameters of push and hold'
 MEASURED_LABEL: Final = 'measured'
 TOOL_LABEL: Final = 'tool'
 _INSTANTS: Final = (
@@ -76,11 +75,11 @@ def marks_of(segmentation: Segmentation) -> tuple[Mark, ...]:
 
 
 def _fit(
-    role: Role, label: str, measured: Signal, fitted: FloatArray, scale: float
+    role: Role, label: str, measured: Signal, fitted: FloatArray, scale: float, zero: float = 0.0
 ) -> tuple[Series, Series]:
-    """Return a fit, and measured minus fitted."""
+    """Return a fit, raised by the zero that `measured` is without, and measured minus fitted."""
     return (
-        Series(role, label, measured.t, fitted / scale),
+        Series(role, label, measured.t, (fitted + zero) / scale),
         Series(role, label, measured.t, (measured.value - fitted) / scale),
     )
 
@@ -93,38 +92,56 @@ def _decay(
     return _fit('paper', label, record, fit(record.t), scale)
 
 
+def _modelled(
+    role: Role, beside: Beside | None, channel: Channel, scale: float
+) -> list[tuple[Series, Series]]:
+    """Return what a model says of a channel, and what it leaves; nothing without samples."""
+    if beside is None:
+        return []
+    trial = beside.trial
+    measured, fitted = (
+        (trial.force, trial.force_fitted)
+        if channel == 'force'
+        else (trial.height, trial.height_fitted)
+    )
+    if not len(measured):
+        return []
+    zero = trial.values.get(f'{channel}_zero')
+    raised = 0.0 if zero is None or zero.value is None else zero.value
+    return [_fit(role, beside.model.model.name, measured, fitted, scale, raised)]
+
+
 def _panel(
     quantity: str,
     unit: str,
     measured: tuple[Series, ...],
-    fits: list[tuple[Series, Series]],
+    fits: tuple[list[tuple[Series, Series]], ...],
     noise: float | None,
     analysis: TrialAnalysis,
 ) -> Panel:
+    """Return a panel with a row of residuals for each group of fits."""
     record = measured[0].t
     return Panel(
         quantity=quantity,
         unit=unit,
-        lines=(*measured, *(fit for fit, _ in fits)),
-        residuals=tuple(residual for _, residual in fits),
+        lines=(*measured, *(fit for group in fits for fit, _ in group)),
+        residuals=tuple(tuple(residual for _, residual in group) for group in fits if group),
         noise=noise,
         phases=phases_of(analysis.segmentation, float(record[0])),
         marks=marks_of(analysis.segmentation),
     )
 
 
-def force_panel(
-    analysis: TrialAnalysis, prediction: Prediction | None, units: UnitSystem
-) -> Panel:
+def force_panel(one: Shown, noise: float | None, units: UnitSystem) -> Panel:
     """
     Return the contact force of a trial against its fits.
 
     Parameters
     ----------
-    analysis : TrialAnalysis
-        The trial, with the decay of eq. (4).
-    prediction : Prediction or None
-        What the whole-waveform fit says of it, if it could be used.
+    one : Shown
+        The trial with the decay of eq. (4), beside the models.
+    noise : float or None
+        One standard deviation of a sample [N].
     units : mapping of str to Unit
         Units of display.
 
@@ -135,29 +152,23 @@ def force_panel(
 
     """
     unit = units['force']
+    analysis = one.analysis
     raw = analysis.trial.force
     force = Signal(raw.t, raw.value - analysis.segmentation.force_zero)
-    fits = []
-    if prediction is not None:
-        fits.append(
-            _fit('base', BASE_FORCE_LABEL, prediction.force, prediction.force_fitted, unit.in_si)
-        )
+    before = _modelled('base', one.before, 'force', unit.in_si)
     if analysis.paper.hold_fit is not None:
-        fits.append(_decay(PAPER_FORCE_LABEL, force, analysis.paper.hold_fit, unit.in_si))
-    noise = analysis.noise.force.value
+        before.append(_decay(PAPER_FORCE_LABEL, force, analysis.paper.hold_fit, unit.in_si))
     return _panel(
         'Force',
         unit.symbol,
         (Series('measured', MEASURED_LABEL, force.t, force.value / unit.in_si),),
-        fits,
+        (before, _modelled('after', one.after, 'force', unit.in_si)),
         None if noise is None else noise / unit.in_si,
         analysis,
     )
 
 
-def height_panel(
-    analysis: TrialAnalysis, prediction: Prediction | None, units: UnitSystem
-) -> Panel | None:
+def height_panel(one: Shown, noise: float | None, units: UnitSystem) -> Panel | None:
     """
     Return the displacement height of a trial against its fits, as `force_panel` does the force.
 
@@ -169,6 +180,7 @@ def height_panel(
 
     """
     unit = units['length']
+    analysis = one.analysis
     tool = _tool_displacement(analysis)
     tool_line = (
         () if tool is None else (Series('tool', TOOL_LABEL, tool.t, tool.value / unit.in_si),)
@@ -177,31 +189,16 @@ def height_panel(
     if height is None or not len(height):
         if not tool_line:
             return None
-        return _panel('Tool displacement', unit.symbol, tool_line, [], None, analysis)
-    fits = []
-    if (
-        prediction is not None
-        and prediction.height is not None
-        and prediction.height_fitted is not None
-    ):
-        fits.append(
-            _fit(
-                'base',
-                BASE_HEIGHT_LABEL,
-                prediction.height,
-                prediction.height_fitted,
-                unit.in_si,
-            )
-        )
+        return _panel('Tool displacement', unit.symbol, tool_line, (), None, analysis)
+    before = _modelled('base', one.before, 'height', unit.in_si)
     if analysis.paper.recovery_fit is not None:
-        fits.append(_decay(PAPER_HEIGHT_LABEL, height, analysis.paper.recovery_fit, unit.in_si))
-    noise = analysis.noise.height.value
+        before.append(_decay(PAPER_HEIGHT_LABEL, height, analysis.paper.recovery_fit, unit.in_si))
     measured = Series('measured', MEASURED_LABEL, height.t, height.value / unit.in_si)
     return _panel(
         'Displacement height',
         unit.symbol,
         (measured,) if analysis.trial.displacement_source == 'tool' else (measured, *tool_line),
-        fits,
+        (before, _modelled('after', one.after, 'height', unit.in_si)),
         None if noise is None else noise / unit.in_si,
         analysis,
     )

@@ -15,8 +15,16 @@
 
 """Trials of a known body, analysed by the real pipeline, for the tests of the report."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.records import (
+    Candidate,
+    Diagnosis,
+    NextTrial,
+    Unexplained,
+)
 from hapticvision_ros.core.models.three_element import respond, ThreeElement
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign, CampaignAnalysis
 from hapticvision_ros.core.records import Signal, Trial
@@ -70,4 +78,31 @@ def campaign() -> CampaignAnalysis:
     whole = make_trial('whole')
     blind = make_trial('blind', displacement_height=None, displacement_source='none')
     held_out = make_trial(NASTY_NAME, push_speed=2e-3)
-    return analyse_campaign([analyse(whole), analyse(blind)], [analyse(held_out)])
+    return analyse_campaign([analyse(whole), analyse(blind)], [analyse(held_out)], model=Model())
+
+
+@pytest.fixture(scope='session')
+def diagnosed(campaign: CampaignAnalysis) -> CampaignAnalysis:
+    """Return the same trials with a model of what remains, and a diagnosis that says all."""
+    both = analyse_campaign(campaign.trials, campaign.held_out, model=Model(('parallel_spring',)))
+    assert both.before.fit is not None
+    assert both.after is not None and both.after.fit is not None
+    found = Diagnosis(
+        status='partly_explained',
+        effects=('parallel_spring',),
+        sets=(('parallel_spring', 'springpot'),),
+        not_testable=('ageing', 'clock_offset'),
+        look_alikes=(('parallel_spring', 'springpot', 0.987),),
+        ranking=(
+            Candidate('parallel_spring', 4321.0, 4312.0, 0.12, 17.0),
+            Candidate('damage', -0.3, -9.5, None, 0.01),
+        ),
+        unexplained=Unexplained(0.23, ('the force at the start of the hold, by 0.3 N',)),
+        next_trial=NextTrial(
+            2e-4, 5e-3, 60.0, ('parallel_spring', 'springpot'), 121.0, 'they part in slow pushes'
+        ),
+        before=both.before.fit,
+        after=both.after.fit,
+        warnings=('repeats are missing, so scatter cannot be told from an effect',),
+    )
+    return replace(both, diagnosis=found)

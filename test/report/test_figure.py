@@ -34,7 +34,7 @@ def panel() -> Panel:
         quantity='Force',
         unit='N',
         lines=(Series('measured', 'measured', t, measured), Series('base', 'fit', t, 0.9 * truth)),
-        residuals=(Series('base', 'fit', t, measured - 0.9 * truth),),
+        residuals=((Series('base', 'fit', t, measured - 0.9 * truth),),),
         noise=NOISE,
         phases=(Phase(2.0, 9.7, 'push'), Phase(9.7, 70.0, 'hold'), Phase(70.5, 130.0, 'recover')),
         marks=(Mark(2.0, 'T_c'), Mark(9.7, 'T_s'), Mark(70.0, 'T_e')),

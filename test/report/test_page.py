@@ -19,9 +19,10 @@ import re
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign, CampaignAnalysis
-from hapticvision_ros.report.misses import force_miss, verdicts
+from hapticvision_ros.report.findings import findings
+from hapticvision_ros.report.misses import held_out_sentences, verdicts
 from hapticvision_ros.report.page import render, write_report
-from hapticvision_ros.report.quantities import PAPER_UNITS
+from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
 from lxml import html
 import pytest
 
@@ -132,17 +133,83 @@ def test_parameters_stand_with_errors_and_units(tree: html.HtmlElement) -> None:
 def test_the_summary_says_how_far_the_model_misses(
     campaign: CampaignAnalysis, tree: html.HtmlElement
 ) -> None:
-    prediction = campaign.before.predictions[0]
-    assert prediction is not None
-    miss = force_miss(prediction)
-    assert miss.rmse == pytest.approx(campaign.before.train.force_rmse, rel=1e-6)
-    assert miss.share_of_peak is not None
-    sentences = verdicts(campaign)
-    assert len(sentences) == 3
-    assert f'{miss.rmse:.2f}\xa0N ({100 * miss.share_of_peak:.1f}\xa0% of peak)' in sentences[0]
+    train = campaign.before.train
+    assert train is not None
+    miss = train.by_trial['whole', 'force']
+    assert miss.percent_of_range is not None
+    sentences = verdicts(campaign) + held_out_sentences(campaign)
+    assert len(sentences) == 5
+    assert f'{miss.rmse:.2f}\xa0N ({miss.percent_of_range:.1f}\xa0% of its range)' in sentences[0]
     summary = text_of(tree.xpath('//section[@id="summary"]')[0])
     for sentence in sentences:
         assert re.sub(r'\s+', ' ', sentence) in summary
+
+
+@pytest.fixture(scope='module')
+def full(diagnosed: CampaignAnalysis) -> html.HtmlElement:
+    """Return the report of a diagnosed campaign as a tree."""
+    return html.document_fromstring(render(diagnosed))
+
+
+def test_a_diagnosis_stands_with_all_that_it_says(
+    diagnosed: CampaignAnalysis, full: html.HtmlElement
+) -> None:
+    found = diagnosed.diagnosis
+    assert found is not None
+    section = text_of(full.xpath('//section[@id="diagnosis"]')[0])
+    sentences = findings(found, SI_UNITS)
+    assert sentences[0].endswith('explained in part by parallel_spring.')
+    assert any('0.200\xa0mm/s, 5.00\xa0mm deep, and hold for 60.0\xa0s' in s for s in sentences)
+    for text in (*sentences, *found.not_testable, *found.warnings, '4 320', '0.987', 'damage'):
+        assert re.sub(r'\s+', ' ', text) in section.replace('\u202f', ' ')
+    assert sentences[0] in text_of(full.xpath('//section[@id="summary"]')[0])
+    (accepted,) = full.xpath('//tr[@class="accepted"]/th')
+    assert 'parallel_spring' in accepted.text_content()
+
+
+def test_parameters_stand_before_and_after_with_their_shift(
+    diagnosed: CampaignAnalysis, full: html.HtmlElement
+) -> None:
+    after = diagnosed.after
+    assert after is not None
+    old, new = diagnosed.before.parameters['K1'].value, after.parameters['K1'].value
+    assert old is not None and new is not None
+    tables = full.xpath('//section[@id="parameters"]//table')
+    rows = {row.xpath('string(th)'): row for row in tables[1].xpath('.//tbody/tr')}
+    assert set(rows) == {'K1', 'C1', 'C2', 'Kp'}
+    cells = [cell.text_content() for cell in rows['K1'].xpath('td')]
+    assert 'N/m' in cells[0] and 'N/m' in cells[1]
+    shift = float(cells[2].removesuffix('\xa0%').replace('\u2212', '-').replace('\u202f', ''))
+    assert shift == pytest.approx(100.0 * (old / new - 1.0), rel=0.01)
+    assert rows['Kp'].xpath('string(td[1])') == ''
+
+
+def test_errors_stand_by_phase_and_trial_before_and_after_seen_and_unseen(
+    diagnosed: CampaignAnalysis, full: html.HtmlElement
+) -> None:
+    force, height = full.xpath('//section[@id="errors"]//table')
+    rows = {
+        row.xpath('string(th)'): [cell.text_content() for cell in row.xpath('td')]
+        for row in force.xpath('.//tbody/tr')
+    }
+    names = [one.trial.name for one in (*diagnosed.trials, *diagnosed.held_out)]
+    assert list(rows)[:4] == ['All', 'approach', 'push', 'hold'] and list(rows)[-3:] == names
+    assert all(len(cells) == 12 for cells in rows.values())
+    assert all(rows['All']) and all(rows['whole'][:6]) and not any(rows['whole'][6:])
+    assert all(rows[names[-1]][6:])
+    # The trial without height has no row among the heights.
+    assert 'blind' not in height.text_content()
+
+
+def test_each_model_has_its_own_row_of_residuals(full: html.HtmlElement) -> None:
+    labels = [''.join(node.itertext()).strip() for node in full.xpath('//article[1]//text')]
+    assert {'Before [N]', 'After [N]', 'Before [mm]', 'After [mm]'} <= set(labels)
+    assert {'three-element', 'three-element+parallel_spring'} <= set(labels)
+
+
+def test_the_page_of_a_diagnosis_has_no_number_without_a_value(full: html.HtmlElement) -> None:
+    text = re.sub(r'told from it none', '', text_of(full).lower())
+    assert not re.search(r'\b(nan|inf|undefined)\b', text)
 
 
 def test_the_papers_units_on_request(campaign: CampaignAnalysis) -> None:
@@ -158,7 +225,9 @@ def test_a_trial_stays_below_its_size(page: str) -> None:
 def test_sections_stand_in_their_order(tree: html.HtmlElement) -> None:
     assert tree.xpath('//section/@id') == [
         'summary',
+        'diagnosis',
         'parameters',
+        'errors',
         'caveats',
         'trials',
         'provenance',

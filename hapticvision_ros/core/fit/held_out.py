@@ -335,9 +335,10 @@ def sample_noise(
 
 def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
     """Return the noise of a sample of one channel."""
-    size = sum(part.residual.size for part in parts)
-    if not size:
+    parts = [part for part in parts if part.residual.size]
+    if not parts:
         return local
+    size = sum(part.residual.size for part in parts)
     rmse = math.sqrt(sum(float(part.residual @ part.residual) for part in parts) / size)
     air, doubt, count = 0.0, 0.0, 0
     for part in parts:

@@ -18,7 +18,6 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hapticvision_ros.core.fit.waveform import ModelError
 from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.report.cells import bare, Cell, cell, optional, size
@@ -39,10 +38,11 @@ COLUMNS: Final[tuple[tuple[str, str, str, Dimension], ...]] = (
     ('retardation_time', 'γ', '', 'time'),
 )
 
+_LETTER_AND_DIGIT: Final = 2
+
 
 def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     """Return what the template shows."""
-    fit = campaign.before
     return {
         'speed_unit': units['speed'].symbol,
         'length_unit': units['length'].symbol,
@@ -53,19 +53,12 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
             _row(number, analysis, units)
             for number, analysis in enumerate((*campaign.trials, *campaign.held_out), start=1)
         ],
-        'model': fit.model,
-        'shared': [
-            (name[0], name[1:], cell(estimate, display_unit(fit.units[name], units)))
-            for name, estimate in fit.parameters.items()
-        ],
+        'before': campaign.before.model.name,
+        'after': None if campaign.after is None else campaign.after.model.name,
+        'shared': _shared(campaign, units),
         'noise': [
             ('Force', size(campaign.noise.force, units['force'])),
             ('Displacement height', size(campaign.noise.height, units['length'])),
-        ],
-        'errors': [
-            (name, *_errors(error, units))
-            for name, error in (('Fitted trials', fit.train), ('Held-out trials', fit.held_out))
-            if error is not None
         ],
     }
 
@@ -84,15 +77,35 @@ def _row(number: int, analysis: TrialAnalysis, units: UnitSystem) -> Mapping[str
     }
 
 
-def _errors(error: ModelError, units: UnitSystem) -> tuple[Cell, Cell, str, str]:
-    """Return the errors of force and height, and how many times the noise's square they are."""
-    force_chi2, height_chi2 = (
-        'unknown' if chi2 is None else format_number(chi2, digits=2)
-        for chi2 in (error.force_chi2, error.height_chi2)
-    )
-    return (
-        optional(error.force_rmse, units['force']),
-        optional(error.height_rmse, units['length']),
-        force_chi2,
-        height_chi2,
-    )
+def _shared(
+    campaign: CampaignAnalysis, units: UnitSystem
+) -> list[tuple[str, str, Cell | None, Cell | None, str]]:
+    """Return, for each parameter of the models, both values and how far the first is off."""
+    before, after = campaign.before, campaign.after
+    known = before.units if after is None else {**before.units, **after.units}
+    rows = []
+    for name, si_unit in known.items():
+        unit = display_unit(si_unit, units)
+        old = before.parameters.get(name)
+        new = None if after is None else after.parameters.get(name)
+        off = ''
+        if old is not None and new is not None and old.value is not None and new.value:
+            off = f'{format_number(100.0 * (old.value / new.value - 1.0), digits=3)}\u00a0%'
+        rows.append(
+            (
+                *_symbol(name),
+                None if old is None else cell(old, unit),
+                None if new is None else cell(new, unit),
+                off,
+            )
+        )
+    return rows
+
+
+def _symbol(name: str) -> tuple[str, str]:
+    """Return a parameter's symbol and its index: K1, F_y, delta_0, or alpha without any."""
+    owner, point, symbol = name.rpartition('.')
+    if len(symbol) == _LETTER_AND_DIGIT and symbol[1].isdigit():
+        return owner + point + symbol[0], symbol[1]
+    letter, _, index = symbol.partition('_')
+    return owner + point + letter, index

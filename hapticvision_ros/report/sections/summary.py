@@ -19,25 +19,26 @@ from collections.abc import Mapping
 
 from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.cells import cell
-from hapticvision_ros.report.misses import verdicts
+from hapticvision_ros.report.findings import findings
+from hapticvision_ros.report.misses import held_out_sentences, verdicts
 from hapticvision_ros.report.quantities import display_unit, UnitSystem
 
 
 def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     """Return what the template shows."""
-    fit = campaign.before
-    shown = {
-        name: cell(estimate, display_unit(fit.units[name], units))
-        for name, estimate in fit.parameters.items()
+    model = campaign.before if campaign.after is None else campaign.after
+    cells = {
+        name: cell(estimate, display_unit(model.units[name], units))
+        for name, estimate in model.parameters.items()
     }
-    known = [f'{name} = {one.text}' for name, one in shown.items() if one.known]
-    unknown = [f'{name} ({one.note})' for name, one in shown.items() if not one.known]
-    by_paper = sum(analysis.paper.K1.known for analysis in campaign.trials)
+    diagnosis = campaign.diagnosis
     return {
         'trial_count': len(campaign.trials),
         'held_out_count': len(campaign.held_out),
-        'identified_count': by_paper,
-        'known': known,
-        'unknown': unknown,
-        'verdicts': verdicts(campaign, units),
+        'identified_count': sum(one.paper.K1.known for one in campaign.trials),
+        'model': model.model.name,
+        'known': [f'{name} = {one.text}' for name, one in cells.items() if one.known],
+        'unknown': [f'{name} ({one.note})' for name, one in cells.items() if not one.known],
+        'answer': None if diagnosis is None else findings(diagnosis, units)[0],
+        'verdicts': [*verdicts(campaign, units), *held_out_sentences(campaign, units)],
     }

@@ -18,12 +18,13 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hapticvision_ros.core.fit.waveform import Prediction
-from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
+from hapticvision_ros.core.diagnosis.records import Channel
+from hapticvision_ros.core.fit.noise import Noise
+from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.cells import cell, optional
 from hapticvision_ros.report.figure import Panel, svg
-from hapticvision_ros.report.misses import force_miss, height_miss, paired, ROUGH
-from hapticvision_ros.report.quantities import Dimension, format_quantity, UnitSystem
+from hapticvision_ros.report.misses import Shown, shown, size_text
+from hapticvision_ros.report.quantities import Dimension, UnitSystem
 from hapticvision_ros.report.series import force_panel, height_panel
 
 # Attribute of `PaperResult`, symbol and index, dimension, what it is, where it comes from.
@@ -51,32 +52,25 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     """Return what the template shows."""
     return {
         'trials': [
-            _trial(number, analysis, prediction, held_out, units)
-            for number, (analysis, prediction, held_out) in enumerate(paired(campaign), start=1)
+            _trial(number, one, campaign.noise, units)
+            for number, one in enumerate(shown(campaign), start=1)
         ]
     }
 
 
-def _trial(
-    number: int,
-    analysis: TrialAnalysis,
-    prediction: Prediction | None,
-    held_out: bool,
-    units: UnitSystem,
-) -> Mapping[str, object]:
+def _trial(number: int, one: Shown, noise: Noise, units: UnitSystem) -> Mapping[str, object]:
+    analysis = one.analysis
     name = analysis.trial.name
-    force = force_panel(analysis, prediction, units)
-    height = height_panel(analysis, prediction, units)
-    pictures = [_picture(force, name, f'{number}-force', _force_words(prediction, units))]
+    force = force_panel(one, noise.force.value, units)
+    height = height_panel(one, noise.height.value, units)
+    pictures = [_picture(force, name, f'{number}-force', _force_words(one, units))]
     if height is not None:
-        pictures.append(
-            _picture(height, name, f'{number}-height', _height_words(analysis, prediction, units))
-        )
+        pictures.append(_picture(height, name, f'{number}-height', _height_words(one, units)))
     phases, paper = analysis.segmentation, analysis.paper
     return {
         'number': number,
         'name': name,
-        'held_out': held_out,
+        'held_out': one.held_out,
         'speed': optional(phases.push_speed, units['speed']).text,
         'depth': optional(phases.depth, units['length']).text,
         'instants': [
@@ -94,7 +88,7 @@ def _trial(
 
 def _picture(panel: Panel, name: str, salt: str, caption: str) -> Mapping[str, str]:
     """Return a picture with its caption and what stands for it where it cannot be seen."""
-    fits = ', '.join(series.label for series in panel.residuals) or 'no fit'
+    fits = ', '.join(one.label for row in panel.residuals for one in row) or 'no fit'
     phases = ', '.join(phase.name for phase in panel.phases)
     return {
         'svg': svg(panel, salt),
@@ -104,31 +98,32 @@ def _picture(panel: Panel, name: str, salt: str, caption: str) -> Mapping[str, s
     }
 
 
-def _force_words(prediction: Prediction | None, units: UnitSystem) -> str:
+def _force_words(one: Shown, units: UnitSystem) -> str:
     words = 'Contact force against time; below, what the fits leave, and a grey band of two '
     words += 'standard deviations of the noise on either side.'
-    if prediction is None:
+    if one.before is None:
         return words + ' The three-element model could not be compared with this trial.'
-    return f'{words} The three-element model misses it by {force_miss(prediction).text(units)}.'
+    return words + _missed(one, 'force', units)
 
 
-def _height_words(
-    analysis: TrialAnalysis, prediction: Prediction | None, units: UnitSystem
-) -> str:
-    source = analysis.trial.displacement_source
+def _height_words(one: Shown, units: UnitSystem) -> str:
+    source = one.analysis.trial.displacement_source
     if source == 'none':
         return 'The displacement height was not recorded: only the tool is shown.'
-    words = 'Displacement height against time, and what the fits of the free recovery leave.'
     if source == 'tool':
-        words = (
+        return (
             'Displacement against time: only the tool was recorded, which is the object where '
             'they touch.'
         )
-    missed = None if prediction is None else height_miss(prediction)
-    if missed is None:
-        return words
-    size = format_quantity(missed, units['length'], digits=ROUGH)
-    return (
-        f'{words} With the parameters of push and hold the three-element model misses the '
-        f'recovery by {size}.'
-    )
+    words = 'Displacement height against time, and what the fits leave.'
+    return words + _missed(one, 'height', units)
+
+
+def _missed(one: Shown, channel: Channel, units: UnitSystem) -> str:
+    """Return by how much each model misses a channel."""
+    sizes = [
+        f'{beside.model.model.name} by {size_text(beside.misfit[channel], channel, units)}'
+        for beside in (one.before, one.after)
+        if beside is not None and channel in beside.misfit
+    ]
+    return f' Missed: {", ".join(sizes)}.' if sizes else ''

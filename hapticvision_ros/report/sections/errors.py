@@ -1,0 +1,85 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far the models miss, by channel, phase and trial, on seen and on unseen trials."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
+from hapticvision_ros.core.fit.held_out import labels, PHASES
+from hapticvision_ros.core.pipeline import CampaignAnalysis
+from hapticvision_ros.report.misses import DIMENSIONS, ROUGH
+from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
+
+TITLES: Final[tuple[tuple[Channel, str], ...]] = (
+    ('force', 'Force'),
+    ('height', 'Displacement height'),
+)
+_NOTHING: Final = ('', '', '')
+
+type _Cells = tuple[str, str, str]
+
+
+def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
+    """Return what the template shows."""
+    models = [campaign.before] if campaign.after is None else [campaign.before, campaign.after]
+    columns: list[tuple[str, str, Misfits]] = []
+    for side, name in (('train', 'Fitted trials'), ('held_out', 'Unseen trials')):
+        for model in models:
+            misfits = model.train if side == 'train' else model.held_out
+            if misfits is not None:
+                columns.append((name, model.model.name, misfits))
+    names = (*labels(campaign.trials), *labels(campaign.held_out))
+    tables = []
+    for channel, title in TITLES:
+        if not any(channel in misfits.total for _, _, misfits in columns):
+            continue
+        found: list[tuple[str, list[Misfit | None]]] = [
+            ('All', [misfits.total.get(channel) for _, _, misfits in columns])
+        ]
+        found += [
+            (phase, [misfits.by_phase.get((channel, phase)) for _, _, misfits in columns])
+            for phase in PHASES
+        ]
+        found += [
+            (name, [misfits.by_trial.get((name, channel)) for _, _, misfits in columns])
+            for name in dict.fromkeys(names)
+        ]
+        rows = [
+            (name, [_cells(one, channel, units) for one in misfits])
+            for name, misfits in found
+            if any(one is not None for one in misfits)
+        ]
+        tables.append((title, rows))
+    sides = [name for name, _, _ in columns]
+    return {
+        'sides': [(name, 3 * sides.count(name)) for name in dict.fromkeys(sides)],
+        'models': [model for _, model, _ in columns],
+        'tables': tables,
+        'held_out_by': campaign.held_out_by,
+        'diagnosed': campaign.diagnosis is not None and campaign.after is not None,
+    }
+
+
+def _cells(misfit: Misfit | None, channel: Channel, units: UnitSystem) -> _Cells:
+    """Return the error, its share of the range, and chi squared."""
+    if misfit is None:
+        return _NOTHING
+    percent, chi2 = misfit.percent_of_range, misfit.chi2
+    return (
+        format_quantity(misfit.rmse, units[DIMENSIONS[channel]], digits=ROUGH),
+        '' if percent is None else f'{format_number(percent, digits=ROUGH)}\u00a0%',
+        'unknown' if chi2 is None else format_number(chi2, digits=3),
+    )
