@@ -124,8 +124,8 @@ def run(args: argparse.Namespace) -> int:
         written += _fit(title, bags, out / 'measured')
     print(
         '\nThe three-element model is not the whole truth about these objects: the lines above '
-        'say how far it misses each.\nThis version measures that gap; naming its cause and '
-        'closing it is later work.\n'
+        'say how far it misses\neach, which effects account for it, and how far the model with '
+        'them misses trials that it has not seen.\n'
     )
     print(f'Done in {time.monotonic() - began:.0f} s. Open the reports in a browser:')
     for path in written:

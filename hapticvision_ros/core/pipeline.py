@@ -17,7 +17,8 @@ From trials to parameters: what the fitter node and the command line both call.
 
 Both give the same numbers because both run this and nothing else. `analyse` takes one trial by
 itself, by the paper's method; `analyse_campaign` fits one model to all trials together, looks for
-what it lacks, and measures how far either model misses the trials.
+what it lacks, and measures how far either model misses the trials. What only the latter needs is
+imported in its functions, since the fitter node starts with this module.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +33,6 @@ from hapticvision_ros.core.records import Estimate, Segmentation, Trial
 from hapticvision_ros.core.segmentation import segment
 
 if TYPE_CHECKING:
-    # The fitter node starts with this module: the campaign's fit would double its time to start.
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.diagnosis.records import Diagnosis, HeldOutChange, Misfits
     from hapticvision_ros.core.fit.campaign import Fit, TrialFit
@@ -45,6 +45,11 @@ type HeldOutBy = Literal['name', 'condition']
 """Whether trials were named to be held out, or each condition of the push was left out in turn."""
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
+CHOICE_HAS_SEEN: Final = (
+    'the held-out errors are of parameters fitted without the speed and depth that they are for, '
+    'but the choice of the effects has seen all trials: only trials that are named to be held out '
+    'are unseen by both'
+)
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -266,6 +271,15 @@ def _compared(
         told.append(_why_nothing_is_held_out(trials, held_out))
     for one in unseen[:1]:
         told += one.warnings
+    change = held_out_change(*unseen) if len(unseen) > 1 else None
+    if diagnosis is not None and after is not None:
+        if by == 'condition':
+            told.append(CHOICE_HAS_SEEN)
+        if change is not None and change.change > change.std:
+            told.append(
+                f'a contradiction: {", ".join(after.model.effects)} explains the fitted trials, '
+                f'yet on unseen ones the squares grow by a factor of {change.ratio:.3g}'
+            )
     for symbol, estimate in (('force', noise.force), ('height', noise.height)):
         if estimate.reason is not None:
             told.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
@@ -289,7 +303,7 @@ def _compared(
         after=None if after is None else models[1],
         diagnosis=diagnosis,
         held_out_by=by,
-        change=held_out_change(*unseen) if len(unseen) > 1 else None,
+        change=change,
         warnings=tuple(dict.fromkeys((*told, *_of_models(fits)))),
     )
 

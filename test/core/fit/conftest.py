@@ -227,7 +227,7 @@ def two_decays() -> Callable[..., tuple[Trial, Segmentation]]:
     return lambda **changes: replace(TwoDecays(), **changes).make()
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def bingham() -> type[BinghamBody]:
     """Return the independently integrated body."""
     return BinghamBody
