@@ -253,23 +253,25 @@ class Motion:
         """
         if gap <= 0.0:
             return self
-        turn = int(np.argmax((self.speed <= 0.0) & (self.acceleration < 0.0)))
-        deepest = self.depth[turn]
-        fine = np.linspace(self.t[turn], self.t[-1], 20001)
-        risen = deepest - self.at(fine)[0]
-        if risen[-1] <= gap:
+        up = (self.speed < 0.0) | ((self.speed == 0.0) & (self.acceleration < 0.0))
+        turn = int(np.argmax(up))
+        deepest = float(self.depth[turn])
+        lasts = np.append(np.diff(self.t), math.inf)
+        for piece in range(turn, self.t.size):
+            ahead = (0.5 * self.acceleration[piece], self.speed[piece])
+            roots = np.roots((*ahead, self.depth[piece] - deepest + gap))
+            after = [
+                float(z.real) for z in roots if z.imag == 0.0 and 0.0 <= z.real < lasts[piece]
+            ]
+            if after:
+                taken_up = float(self.t[piece]) + min(after)
+                break
+        else:
             raise UsageError(f'a backlash of {gap:g} m is more than the tool withdraws')
-        low, high = fine[np.searchsorted(risen, gap) - 1], fine[np.searchsorted(risen, gap)]
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            if deepest - self.at(np.array([middle]))[0][0] < gap:
-                low = middle
-            else:
-                high = middle
-        _, speed, acceleration = self.at(np.array([high]))
-        later = self.t > high
+        _, speed, acceleration = self.at(np.array([taken_up]))
+        later = self.t > taken_up
         return Motion(
-            np.concatenate((self.t[: turn + 1], [high], self.t[later])),
+            np.concatenate((self.t[: turn + 1], [taken_up], self.t[later])),
             np.concatenate((self.depth[: turn + 1], [deepest], self.depth[later] + gap)),
             np.concatenate((self.speed[:turn], [0.0], speed, self.speed[later])),
             np.concatenate(
@@ -455,7 +457,8 @@ _SMALLEST_PATCH = 1e-6
 """Penetration over d_ref below which the contact patch grows no smaller."""
 _MOST_ITERATIONS = 200
 _CONVERGED = 1e-13
-"""Change of the stretch over d_ref that ends Newton's iteration."""
+_SMALL = 1e-3
+"""Change of the stretch, relative but not below that of this stretch [m], that ends the search."""
 _GAMMA = 1.0 - math.sqrt(0.5)
 _AHEAD = (1.0 - _GAMMA) / _GAMMA
 
@@ -600,7 +603,7 @@ def _stage(  # type: ignore[no-untyped-def]
                 following = z - np.sign(miss) * (1e-6 * d_ref + abs(z))
         change = abs(following - z)
         z = following
-        if change <= _CONVERGED * d_ref:
+        if change <= _CONVERGED * (abs(z) + _SMALL):
             break
     if bound:
         x = d
@@ -688,7 +691,7 @@ def _step(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model='numpy')
 def _between_steps(q, before, after, h, force, timers):  # type: ignore[no-untyped-def]
-    """Change what the step's end changes in `after`; `timers` are pause [s] and start [m] of the slip."""
+    """Change what a step's end changes in `after`; `timers`: a slip's pause [s], start [m]."""
     if q[_THIXO] != 0.0:
         breaking = abs(after[_Y] - before[_Y]) / (h * q[_THIXO_FLOW])
         pace = breaking + 1.0 / q[_THIXO_REST]
