@@ -148,3 +148,18 @@ if [ "$(cat "$venv/package.stamp" 2>/dev/null)" != "$metadata" ]; then
         --editable . >>"$log" 2>&1 || explain
     printf '%s\n' "$metadata" >"$venv/package.stamp"
 fi
+
+# What every first run would do, once: bytecode, which an environment may forbid to write, and the
+# kernels. numba tells by the stamp of a source whether what it has kept still holds.
+kernels=$(grep -rlE '^@(njit|kernel)' hapticvision_ros | sort | xargs -r stat -c '%n %s %y')
+if [ "$(cat "$venv/kernels.stamp" 2>/dev/null)" != "$kernels" ]; then
+    echo 'setup: compiling the kernels (once; about a minute)'
+    log=$venv/setup.log
+    "$venv/bin/python" -m compileall -q -j 0 "$venv/lib" hapticvision_ros >>"$log" 2>&1 || :
+    # Without it, the first fit compiles what it needs.
+    if "$venv/bin/python" tools/compile_kernels.py >>"$log" 2>&1; then
+        printf '%s\n' "$kernels" >"$venv/kernels.stamp"
+    else
+        echo "setup: the kernels could not be compiled now; the first fit will (log: $log)" >&2
+    fi
+fi

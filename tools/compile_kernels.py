@@ -1,0 +1,45 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Compile the kernels and keep them, so that the first fit does not wait for it.
+
+numba keeps a kernel for the types of its arguments; two shipped bags, one with a release, and the
+effects with kernels of their own call all of them as ``hapticvision fit`` does. Run it from the
+root of the repository, with the interpreter of .venv; ``tools/setup.sh`` does.
+"""
+
+from pathlib import Path
+import sys
+import warnings
+
+from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.fit.campaign import fit
+from hapticvision_ros.core.pipeline import analyse
+
+BAGS = ('bags/muscle_ramp_hold/ramp_10s', 'bags/synthetic_soft_block/speed_5mm_s_depth_8mm')
+EFFECTS = ('force_lag', 'periodic_disturbance')
+
+
+def main() -> int:
+    """Fit the bags with every kernel."""
+    warnings.simplefilter('ignore')
+    for bag in BAGS:
+        fit([analyse(read_trial(Path(bag)))], Model(EFFECTS))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
