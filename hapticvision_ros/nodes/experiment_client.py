@@ -53,6 +53,8 @@ ANSWER_DEADLINE: Final = 30.0
 """How long the orchestrator may take to come up and to answer [s]."""
 SILENCE: Final = 15.0
 """An orchestrator that gives no feedback for so long is gone [s]."""
+CANCEL_ANSWER_DEADLINE: Final = 6.0
+"""How long an orchestrator that has been reporting may take to answer a cancel [s]."""
 CANCEL_DEADLINE: Final = 40.0
 """How long a cancelled push may take to retract [s]."""
 
@@ -140,7 +142,7 @@ class ExperimentClient:
             if self._interrupted and deadline is None:
                 deadline = now + CANCEL_DEADLINE
                 print('cancelling: the tool retracts', flush=True)
-                self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request())
+                self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request(), CANCEL_ANSWER_DEADLINE)
             if now - self._heard > SILENCE or (deadline is not None and now > deadline):
                 raise ExperimentError(
                     f'{SERVER} has been silent for too long: see whether it runs.'
@@ -151,23 +153,29 @@ class ExperimentClient:
         self._tell_result()
         return EXIT_CODES[self._status]
 
-    def _call_service(self, service: Service, request: Any) -> Any:
-        return self._call(create_client(self._node, service), request, service.name)
+    def _call_service(
+        self, service: Service, request: Any, deadline: float = ANSWER_DEADLINE
+    ) -> Any:
+        return self._call(create_client(self._node, service), request, service.name, deadline)
 
-    def _call(self, client: Any, request: Any, what: str) -> Any:
+    def _call(
+        self, client: Any, request: Any, what: str, deadline: float = ANSWER_DEADLINE
+    ) -> Any:
         """Return the answer of a service."""
         try:
-            if not self._spin_until(client.service_is_ready):
-                raise ExperimentError(f'{what}: not there within {ANSWER_DEADLINE:g} s.')
+            if not self._spin_until(client.service_is_ready, deadline):
+                raise ExperimentError(f'{what}: not there within {deadline:g} s.')
             future = client.call_async(request)
-            if not self._spin_until(future.done):
-                raise ExperimentError(f'{what}: no answer within {ANSWER_DEADLINE:g} s.')
+            if not self._spin_until(future.done, deadline):
+                raise ExperimentError(f'{what}: no answer within {deadline:g} s.')
             return future.result()
         finally:
             self._node.destroy_client(client)
 
-    def _spin_until(self, condition: Callable[[], bool]) -> bool:
-        end = time.monotonic() + ANSWER_DEADLINE
+    def _spin_until(
+        self, condition: Callable[[], bool], deadline: float = ANSWER_DEADLINE
+    ) -> bool:
+        end = time.monotonic() + deadline
         while not condition():
             if time.monotonic() > end:
                 return False
