@@ -39,6 +39,7 @@ from typing import Final, NamedTuple
 from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, POINTS, TOOL_HEIGHT
 from hapticvision_ros.bag.writer import Compression, write_signals
 from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import CloudFrame, FloatArray, Signal, Trial
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.offline import CloudPlan
@@ -52,7 +53,6 @@ from hapticvision_ros.sim.specimen import (
     parameter_vector,
     Undeclared,
 )
-from numba import njit
 import numpy as np
 from numpy.typing import NDArray
 
@@ -719,7 +719,7 @@ def _with_gaps(
     return t[kept], value[kept]
 
 
-@njit(cache=True)
+@kernel()
 def _coloured(t: FloatArray, correlation_time: float, white: FloatArray) -> FloatArray:
     """Return a stationary Ornstein-Uhlenbeck process of unit variance at the moments `t`."""
     out = white.copy()
@@ -743,7 +743,7 @@ def _force_noise(sensors: Sensors, t: FloatArray, random: np.random.Generator) -
     return total
 
 
-@njit(cache=True)
+@kernel()
 def _lagged(dt: FloatArray, force: FloatArray, time: float) -> FloatArray:
     """Return the mean output over each step of a first-order lag [N]."""
     out: FloatArray = np.empty_like(force)
@@ -755,7 +755,7 @@ def _lagged(dt: FloatArray, force: FloatArray, time: float) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@kernel()
 def _play(force: FloatArray, width: float) -> FloatArray:
     """Return what follows the force only where it has moved by `width` (play operator) [N]."""
     out = np.empty_like(force)
@@ -766,7 +766,7 @@ def _play(force: FloatArray, width: float) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@kernel()
 def _dahl(travel: FloatArray, speed: FloatArray, reach: float) -> FloatArray:
     """Return Dahl's friction over its Coulomb force: it builds up over `reach` and stays."""
     out = np.empty_like(speed)

@@ -44,8 +44,8 @@ import math
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
-from numba import njit
 import numpy as np
 
 FLOW_RATE: Final = 1e-3
@@ -495,7 +495,7 @@ _KS_DEPTH = _SLOTS['shoulder_contact', 'depth']
 _Z, _Y, _ZU, _SHIFT, _H, _V, _Z_MAX, _BUILD, _TURN, _SLIDE, _WHOLE, _FIRST_MODE = range(12)
 
 
-@njit(cache=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _stage(  # type: ignore[no-untyped-def]
     q, d_ref, factor, w, kept, give, flow, kp, kept_p, base, e, d, v, a, contact, out
 ):
@@ -624,7 +624,7 @@ def _stage(  # type: ignore[no-untyped-def]
     return total if contact else 0.0
 
 
-@njit(cache=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _step(  # type: ignore[no-untyped-def]
     q,
     d_ref,
@@ -689,7 +689,7 @@ def _step(  # type: ignore[no-untyped-def]
     return impulse, force
 
 
-@njit(cache=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _between_steps(q, before, after, h, force, timers):  # type: ignore[no-untyped-def]
     """Change what a step's end changes in `after`; `timers`: a slip's pause [s], start [m]."""
     if q[_THIXO] != 0.0:
@@ -715,7 +715,7 @@ def _between_steps(q, before, after, h, force, timers):  # type: ignore[no-untyp
             timers[1] = after[_SHIFT]
 
 
-@njit(cache=True, error_model='numpy')
+@kernel(error_model='numpy')
 def _push(  # type: ignore[no-untyped-def]
     grid,
     depth,
