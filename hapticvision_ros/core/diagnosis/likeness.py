@@ -80,7 +80,7 @@ class Tangent:
     """
 
     def __init__(self, bench: Workbench, base: Refit) -> None:
-        self._whiteners = bench.whiteners(base.force_noise, base.height_noise)
+        self._whiteners = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
         problem = base.problem
         blocks = []
         for index, place in enumerate(problem.places):
@@ -216,7 +216,7 @@ def left_out(
     if len(groups) < 2:
         return None
     plain = Problem(base.model, bench.trials, bench.scatter)
-    plain.set_noise(refit.force_noise, refit.height_noise, bench.jumps)
+    plain.set_noise(refit.force_noise, refit.height_noise, refit.jumps)
     without = _unseen_squares(plain, base.state, groups)
     if without <= 0.0:
         return None

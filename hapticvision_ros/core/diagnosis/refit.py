@@ -56,6 +56,9 @@ _FACTORS: Final = (1.0, 0.1, 0.01, 10.0)
 """Strengths, over the first guess, that a search starts from."""
 _LOOKS: Final = 6
 _STEPS: Final = 30
+_ROUNDS: Final = 3
+_BLURS: Final = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
+"""How well moments of jumps may be known, over a sample."""
 _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
@@ -81,6 +84,10 @@ class Refit:
         Minus twice the log likelihood, constants apart.
     force_noise, height_noise : SensorNoise
         The most likely noise.
+    blur : float
+        How well the moments are known at which the force jumps: 1 to a sample.
+    jumps : tuple of ndarray
+        The variance that each step's force has by it [N^2].
 
     """
 
@@ -91,6 +98,8 @@ class Refit:
     deviance: float
     force_noise: SensorNoise
     height_noise: SensorNoise
+    blur: float
+    jumps: tuple[FloatArray, ...]
 
     def as_fit(self, like: Fit) -> Fit:
         """Return a fit to start from, with everything else as in another."""
@@ -156,20 +165,12 @@ class Workbench:
         The trials.
     scatter : ndarray, shape (3,) or None
         How K1, C1 and C2 vary from trial to trial.
-    jumps : sequence of ndarray
-        Variance of each step's force for that a jump is known to a sample [N^2].
 
     """
 
-    def __init__(
-        self,
-        trials: Sequence[FitTrial],
-        scatter: FloatArray | None,
-        jumps: Sequence[FloatArray],
-    ) -> None:
+    def __init__(self, trials: Sequence[FitTrial], scatter: FloatArray | None) -> None:
         self.trials = tuple(trials)
         self.scatter = scatter
-        self.jumps = tuple(jumps)
         self.samples = sum(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -178,8 +179,8 @@ class Workbench:
         """Return a fitted model as it stands on this bench."""
         problem = Problem(fit.model, self.trials, self.scatter)
         state = carried(fit.problem, fit.state, problem)
-        problem.set_noise(fit.noise.force, fit.noise.height, self.jumps)
-        return self._settled(problem, state, fit.noise.force, fit.noise.height)
+        problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
+        return self._settled(problem, state, fit.noise.force, fit.noise.height, 1.0)
 
     def refit(self, model: Model, near: Refit) -> Refit | None:
         """
@@ -214,7 +215,7 @@ class Workbench:
                     )
                 )
         best = min(ends, key=lambda end: end.cost)
-        return self._settled(problem, best.theta, near.force_noise, near.height_noise)
+        return self._settled(problem, best.theta, near.force_noise, near.height_noise, near.blur)
 
     def promise(self, model: Model, near: Refit) -> float:
         """
@@ -240,7 +241,7 @@ class Workbench:
     def _look(self, model: Model, near: Refit) -> tuple[Problem, list[tuple[float, FloatArray]]]:
         """Return the problem of a model, and starts with the squares they promise, best first."""
         problem = Problem(model, self.trials, self.scatter)
-        problem.set_noise(near.force_noise, near.height_noise, self.jumps)
+        problem.set_noise(near.force_noise, near.height_noise, near.jumps)
         begin = carried(near.problem, near.state, problem)
         states = [begin]
         added = [name for name in model.effects if name not in near.model.effects]
@@ -258,7 +259,9 @@ class Workbench:
         """Return a refit whose onsets were looked for anew, if that is better."""
         state = found.state.copy()
         find_onsets(found.problem, state)
-        again = self._settled(found.problem, state, found.force_noise, found.height_noise)
+        again = self._settled(
+            found.problem, state, found.force_noise, found.height_noise, found.blur
+        )
         return min((found, again), key=lambda each: each.deviance)
 
     def residual(
@@ -299,8 +302,10 @@ class Workbench:
         left: list[tuple[FloatArray, FloatArray]] = []
         for turn in range(3 if again else 1):
             if turn:
-                force_noise, height_noise = self._most_likely(left, force_noise, height_noise)
-            whiteners = self.whiteners(force_noise, height_noise)
+                force_noise, height_noise = self._most_likely(
+                    left, force_noise, height_noise, found.jumps
+                )
+            whiteners = self.whiteners(force_noise, height_noise, found.jumps)
             solution, squares, determinant, count = self._linear(
                 problem, found.state, rows, columns, whiteners
             )
@@ -326,12 +331,12 @@ class Workbench:
         return problem, state
 
     def whiteners(
-        self, force: SensorNoise, height: SensorNoise
+        self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray]
     ) -> list[tuple[Whitener, Whitener | None]]:
         """Return what makes the noise of each trial white."""
         return [
             (
-                whitener(force_blocks(trial, self.jumps[index]), force),
+                whitener(force_blocks(trial, jumps[index]), force),
                 whitener(height_blocks(trial), height) if trial.height_t.size else None,
             )
             for index, trial in enumerate(self.trials)
@@ -435,10 +440,16 @@ class Workbench:
         return scale_of(near.problem, near.state, K1, C1, C2)
 
     def _settled(
-        self, problem: Problem, state: FloatArray, force: SensorNoise, height: SensorNoise
+        self,
+        problem: Problem,
+        state: FloatArray,
+        force: SensorNoise,
+        height: SensorNoise,
+        blur: float,
     ) -> Refit:
         """Return the best parameters and the noise that goes with them."""
-        for turn in range(2):
+        jumps: tuple[FloatArray, ...] = ()
+        for turn in range(_ROUNDS):
             state = minimise(
                 problem.evaluate,
                 state,
@@ -446,8 +457,12 @@ class Workbench:
                 tolerance=_TOLERANCE if turn else 1e-4,
                 max_evaluations=_STEPS,
             ).theta
-            force, height = self.noise(problem, state, force, height)
-            problem.set_noise(force, height, self.jumps)
+            bare = problem.jumps(state)
+            left = [self.residual(problem, state, index) for index in range(len(self.trials))]
+            force, height = self._most_likely(left, force, height, _blurred(bare, blur))
+            blur = self._sharpest(left, force, bare)
+            jumps = _blurred(bare, blur)
+            problem.set_noise(force, height, jumps)
         solution = minimise(
             problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
         )
@@ -461,25 +476,41 @@ class Workbench:
             + problem.scatter_price(solution.theta),
             force_noise=force,
             height_noise=height,
+            blur=blur,
+            jumps=jumps,
         )
 
-    def noise(
-        self, problem: Problem, state: FloatArray, force: SensorNoise, height: SensorNoise
-    ) -> tuple[SensorNoise, SensorNoise]:
-        """Return the noise that makes the residual most likely, near a first guess."""
-        left = [self.residual(problem, state, index) for index in range(len(self.trials))]
-        return self._most_likely(left, force, height)
+    def _sharpest(
+        self,
+        left: Sequence[tuple[FloatArray, FloatArray]],
+        noise: SensorNoise,
+        bare: Sequence[FloatArray],
+    ) -> float:
+        """Return the blur of the jumps that makes the residual force most likely."""
+
+        def deviance(blur: float) -> float:
+            total = 0.0
+            for trial, (force, _), jumps in zip(
+                self.trials, left, _blurred(bare, blur), strict=True
+            ):
+                filter_ = whitener(force_blocks(trial, jumps), noise)
+                white = filter_(force[np.newaxis])[0]
+                total += float(white @ white) + filter_.log_determinant
+            return total
+
+        return min(_BLURS, key=deviance)
 
     def _most_likely(
         self,
         left: Sequence[tuple[FloatArray, FloatArray]],
         force: SensorNoise,
         height: SensorNoise,
+        jumps: Sequence[FloatArray],
     ) -> tuple[SensorNoise, SensorNoise]:
         """Return the noise that makes residuals of force and height most likely."""
         forces, heights = [], []
         for index, trial in enumerate(self.trials):
-            forces.append(_bare(force_blocks(trial, self.jumps[index]), left[index][0]))
+            forces.append(_bare(force_blocks(trial, jumps[index]), left[index][0]))
             if trial.height_t.size:
                 heights.append(_bare(height_blocks(trial), left[index][1]))
         force = estimate(forces, force, self.trials[0].interval, everywhere=False)
@@ -487,6 +518,11 @@ class Workbench:
             interval = self.trials[0].height_interval
             height = estimate(heights, height, interval, everywhere=False)
         return force, height
+
+
+def _blurred(jumps: Sequence[FloatArray], blur: float) -> tuple[FloatArray, ...]:
+    """Return the variances of jumps that are known better than to a sample."""
+    return tuple(blur**2 * each for each in jumps)
 
 
 def _bare(blocks: Blocks, residual: FloatArray) -> Record:

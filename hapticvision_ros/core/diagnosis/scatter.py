@@ -169,8 +169,8 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
     """Return each trial's own logarithms of K1, C1, C2 beside the shared, and their variances."""
     old = found.problem
     problem = Problem(old.model, old.trials, np.full(3, _WIDE))
-    problem.set_noise(found.force_noise, found.height_noise, problem.jumps(_start(found, problem)))
-    state = _start(found, problem)
+    problem.set_noise(found.force_noise, found.height_noise, found.jumps)
+    state = carried(old, found.state, problem)
     shifts, variances = np.zeros((len(old.trials), 3)), np.zeros((len(old.trials), 3))
     for index, place in enumerate(problem.places):
 
@@ -188,10 +188,6 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
         shifts[index] = solution.theta[chosen]
         variances[index] = np.diag(covariance(solution.jacobian))[chosen]
     return shifts, variances
-
-
-def _start(found: Refit, problem: Problem) -> FloatArray:
-    return carried(found.problem, found.state, problem)
 
 
 def _without_trend(

@@ -26,8 +26,15 @@ from dataclasses import dataclass
 from typing import Final
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
 from hapticvision_ros.core.diagnosis.likeness import left_out, pairs, Tangent, visible
-from hapticvision_ros.core.diagnosis.records import Candidate, Diagnosis, Status, Unexplained
+from hapticvision_ros.core.diagnosis.records import (
+    Candidate,
+    Diagnosis,
+    NextTrial,
+    Status,
+    Unexplained,
+)
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
@@ -62,6 +69,7 @@ def diagnose(
     *,
     progress: Callable[[str], None] | None = None,
     workers: int = 1,
+    limits: PushLimits | None = None,
 ) -> Diagnosis:
     """
     Find what the three-element model lacks.
@@ -74,6 +82,8 @@ def diagnose(
         Told what is being looked at.
     workers : int
         Threads.
+    limits : PushLimits, optional
+        What the cell can do, for the push to make next.
 
     Returns
     -------
@@ -99,7 +109,7 @@ def diagnose(
         prepared, known = prepare(trials, windows=True)
         before = fit_prepared(prepared, Model(), near=before, warnings=known)
     phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
-    search = _Search(before, phases, workers, tell)
+    search = _Search(before, phases, workers, tell, limits)
     outcome = search.run()
     after = before
     if outcome.effects:
@@ -119,7 +129,7 @@ def diagnose(
         look_alikes=outcome.look_alikes,
         ranking=outcome.ranking,
         unexplained=outcome.unexplained,
-        next_trial=None,
+        next_trial=outcome.next_trial,
         before=before,
         after=after,
         warnings=outcome.warnings,
@@ -137,6 +147,7 @@ class _Outcome:
     look_alikes: tuple[tuple[str, str, float], ...]
     ranking: tuple[Candidate, ...]
     unexplained: Unexplained | None
+    next_trial: NextTrial | None
     warnings: tuple[str, ...]
     chosen: Refit
     scatter: FloatArray | None
@@ -151,32 +162,33 @@ class _Search:
         phases: Sequence[Segmentation],
         workers: int,
         tell: Callable[[str], None],
+        limits: PushLimits | None,
     ) -> None:
         self.before = before
+        self.limits = limits
         self.phases = phases
         self.workers = workers
         self.tell = tell
         self.groups = conditions(phases)
-        self.jumps = before.problem.jumps(before.state)
         self.warnings: list[str] = []
 
     def run(self) -> _Outcome:
         """Return what the trials tell."""
-        plain = Workbench(self.before.problem.trials, None, self.jumps)
+        plain = Workbench(self.before.problem.trials, None)
         base = plain.base(self.before)
         names, hidden = self._testable(plain, base)
         scatter = self._repeats(base)
         bench, scattered = plain, None
         if scatter is not None and scatter.cautious.any():
             scattered = scatter.cautious
-            bench = Workbench(plain.trials, scattered, self.jumps)
+            bench = Workbench(plain.trials, scattered)
             base = bench.base(self.before)
         chosen, rounds, order = self._select(bench, base, names)
         if scatter is None:
             found = self._unrepeated(bench, base, chosen)
             if found is not None:
                 scattered = found
-                bench = Workbench(plain.trials, scattered, self.jumps)
+                bench = Workbench(plain.trials, scattered)
                 base = bench.base(self.before)
                 chosen, rounds, order = self._select(bench, base, names)
         self.tell('looking at what is left')
@@ -198,6 +210,7 @@ class _Search:
             look_alikes=pairs(bench, base, rounds[0].candidates, order),
             ranking=ranking,
             unexplained=unexplained,
+            next_trial=self._next(bench, chosen, rounds, order),
             warnings=tuple(self.warnings),
             chosen=chosen,
             scatter=scattered,
@@ -251,7 +264,7 @@ class _Search:
             return None
         best, size = chosen.deviance, None
         for each in _SCATTERS:
-            scattered = Workbench(bench.trials, np.full(3, each), self.jumps)
+            scattered = Workbench(bench.trials, np.full(3, each))
             refit = scattered.refit(chosen.model, chosen)
             if refit is not None and refit.deviance < best - LEAD:
                 best, size = refit.deviance, each
@@ -275,6 +288,23 @@ class _Search:
             for found in look(bench, chosen, self.phases)
             if found.gain > STRUCTURE_GATE and found.strength > least
         )
+
+    def _next(
+        self,
+        bench: Workbench,
+        chosen: Refit,
+        rounds: Sequence[Round],
+        order: Sequence[str],
+    ) -> NextTrial | None:
+        """Return the push that splits the first set of several, or else sharpens a parameter."""
+        for each in rounds:
+            if len(each.alike) < 2 or each.alike[0] not in order:
+                continue
+            refits = {one.effect: one.refit for one in each.candidates}
+            first, second = refits[each.alike[0]], refits[each.alike[1]]
+            if first is not None and second is not None:
+                return suggest(bench, first, second, self.phases, self.limits)
+        return suggest(bench, chosen, None, self.phases, self.limits)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
         """Return all candidates beside the base model."""

@@ -937,6 +937,7 @@ def _without_outliers(
         limit = _OUTLYING * np.sqrt(noise.std**2 + 4.0 * _jumps(predicted, full))
         limit = np.maximum(limit, _SMALLEST_GLITCH * float(np.abs(predicted).max()))
         bad = _sudden(residual, (np.abs(residual) > limit) & trial.samples.good)
+        bad &= ~trial.eventful
         if bad.any():
             any_bad = True
             trial = trial.without(bad)

@@ -133,8 +133,10 @@ class FitTrial:
         How well the detected contact is known [m].
     has_force_zero, has_height_zero : bool
         Whether the record shows the sensor without contact, so that its zero can be fitted.
-    t_contact : float
-        The detected touch [s].
+    t_contact, t_release : float
+        The detected touch and start of the release [s].
+    eventful : ndarray of bool, shape (samples,)
+        Which force samples are near an event, where a sudden residual is no glitch.
     samples : Samples
         The force at its full rate.
     path : ToolPath
@@ -162,6 +164,7 @@ class FitTrial:
     has_height_zero: bool
     t_contact: float
     t_release: float | None
+    eventful: NDArray[np.bool_]
     samples: Samples
     path: ToolPath
 
@@ -228,6 +231,79 @@ def prepare(
     )
 
 
+def planned(
+    like: FitTrial,
+    *,
+    push_speed: float,
+    depth: float,
+    hold_time: float,
+    release: bool,
+    campaign_time: float,
+) -> FitTrial:
+    """
+    Return a trial that was not made, for predictions of it.
+
+    Parameters
+    ----------
+    like : FitTrial
+        A trial with the same sensors; the release and the recovery are as long and fast as there.
+    push_speed, depth, hold_time : float
+        The push [m/s, m, s].
+    release : bool
+        Whether the tool is withdrawn.
+    campaign_time : float
+        When it would start, from the start of the campaign [s].
+
+    Returns
+    -------
+    FitTrial
+        With zeros where a measured one holds what was measured.
+
+    """
+    touch = _BASELINE * like.interval
+    stop = touch + depth / push_speed
+    end = stop + hold_time
+    corners = [0.0, touch, stop, end]
+    levels = [-push_speed * touch, 0.0, depth, depth]
+    if release and like.t_release is not None:
+        deepest = float(like.path.displacement.max())
+        later = like.path.t > like.t_release
+        risen = deepest - like.path.displacement[later]
+        times = like.path.t[later] - like.t_release
+        far = int(np.argmax(risen >= 0.9 * deepest)) if np.any(risen >= 0.9 * deepest) else -1
+        speed = float(risen[far] / times[far]) if risen.size else push_speed
+        speed = speed if speed > 0.0 else push_speed
+        gone = (1.0 + _AIR) * depth / speed
+        recovery = max(float(like.t[-1] - like.t_release) - gone, 0.0)
+        corners += [end + gone, end + gone + recovery + like.interval]
+        levels += [-_AIR * depth, -_AIR * depth]
+    edges = np.arange(0.0, corners[-1], like.interval)
+    path = ToolPath(np.array(corners), np.array(levels), like.path.noise)
+    heights = np.empty(0)
+    if like.height_t.size:
+        heights = np.arange(0.5 * like.height_interval, edges[-1], like.height_interval)
+    count = edges.size - 1
+    trial = replace(
+        like,
+        name='planned',
+        t=edges,
+        displacement=path.at(edges),
+        force=np.zeros(count),
+        force_count=np.ones(count),
+        height_t=heights,
+        height=np.zeros(heights.size),
+        height_count=np.ones(heights.size),
+        campaign_time=campaign_time,
+        t_contact=touch,
+        t_release=end if release else None,
+        eventful=np.zeros(count, dtype=np.bool_),
+        samples=Samples(edges, np.zeros(count), np.ones(count, dtype=np.bool_)),
+        path=path,
+    )
+    events = np.array([t for t in corners[1:] if t < edges[-1]])
+    return _with_steps(trial, _steps(edges, events, like.interval, windows=False))
+
+
 def _prepare(
     trial: Trial, phases: Segmentation, campaign_time: float, windows: bool
 ) -> FitTrial | str:
@@ -246,7 +322,9 @@ def _prepare(
     interval = float(np.median(np.diff(force.t)))
     middle = 0.5 * (force.t[1:] + force.t[:-1])
     edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
-    samples = Samples(edges, force.value - phases.force_zero, ~suspects(force.value))
+    eventful = near_events(force.t, phases, interval)
+    bad = suspects(force.value) & ~eventful
+    samples = Samples(edges, force.value - phases.force_zero, ~bad)
     baseline = int(np.searchsorted(force.t, touch))
     record = trial.displacement_height if trial.displacement_source != 'tool' else None
     height_interval = 1.0
@@ -276,6 +354,7 @@ def _prepare(
         has_height_zero=int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,
         t_release=phases.t_release,
+        eventful=eventful,
         samples=samples,
         path=path,
     )
@@ -368,6 +447,34 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     for first, last in runs(found):
         none[first:last] = last - first <= _LONGEST_GLITCH
     return none
+
+
+def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray[np.bool_]:
+    """
+    Return which samples are so near to an event that what stands out may be the object's doing.
+
+    A blow at the touch or the pull of a sticky object lasts for a few samples, as a glitch does.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times of the samples [s].
+    phases : Segmentation
+        The events.
+    interval : float
+        Usual interval between two samples [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True within some samples of a touch, a stop, the start of the release or the loss.
+
+    """
+    near = np.zeros(t.size, dtype=np.bool_)
+    for event in (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss):
+        if event is not None:
+            near |= np.abs(t - event) <= _LONGEST_GLITCH * interval
+    return near
 
 
 def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -1,0 +1,275 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Which push would tell most: one that two candidates answer differently, or one that sharpens.
+
+The models predict pushes that were not made. Where two candidates cannot be told apart, the push
+is chosen at which the second, with its parameters as free as the trials have left them, misses
+what the first says by most; otherwise the one that sharpens the least known parameter.
+
+References
+----------
+A. C. Atkinson and V. V. Fedorov, Biometrika 62, 1975, 57-70, doi:10.1093/biomet/62.1.57 (designs
+that discriminate between models); V. V. Fedorov, Theory of Optimal Experiments, 1972.
+
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Final
+
+from hapticvision_ros.core.diagnosis.records import NextTrial
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.fit.campaign import force_blocks, height_blocks, Problem
+from hapticvision_ros.core.fit.data import FitTrial, planned
+from hapticvision_ros.core.fit.noise_model import whitener
+from hapticvision_ros.core.records import FloatArray, Segmentation
+import numpy as np
+
+_SPEEDS: Final = 4
+_DEPTHS: Final = (0.35, 0.6, 1.0)
+_HOLDS: Final = (0.3, 1.0, 3.0)
+"""Over the longest hold of the campaign."""
+
+
+@dataclass(frozen=True, slots=True)
+class PushLimits:
+    """
+    What a cell can do.
+
+    Parameters
+    ----------
+    slowest, fastest : float
+        Speeds of a push [m/s].
+    deepest : float
+        Deepest push [m].
+    longest_hold : float
+        Longest hold [s].
+
+    """
+
+    slowest: float
+    fastest: float
+    deepest: float
+    longest_hold: float
+
+    @classmethod
+    def like(cls, phases: Sequence[Segmentation]) -> 'PushLimits':
+        """Return what is near what has been done: speeds within a factor of three."""
+        speeds = [p.push_speed for p in phases if p.push_speed]
+        depths = [p.depth for p in phases if p.depth]
+        holds = [
+            p.t_release - p.t_hold
+            for p in phases
+            if p.t_release is not None and p.t_hold is not None
+        ]
+        longest = max(holds, default=10.0)
+        return cls(
+            min(speeds, default=1e-3) / 3.0,
+            max(speeds, default=1e-3) * 3.0,
+            max(depths, default=1e-3),
+            3.0 * longest,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """A push that might be made, in the form of the fit."""
+
+    push_speed: float
+    depth: float
+    hold_time: float
+    trial: FitTrial
+
+    @property
+    def duration(self) -> float:
+        """Return how long it takes [s]."""
+        return float(self.trial.t[-1] - self.trial.t[0])
+
+
+def suggest(
+    bench: Workbench,
+    first: Refit,
+    second: Refit | None,
+    phases: Sequence[Segmentation],
+    limits: PushLimits | None = None,
+) -> NextTrial | None:
+    """
+    Return the push to make next.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    first : Refit
+        The model that leads.
+    second : Refit or None
+        The one that it is to be told from; None to sharpen a parameter of the first.
+    phases : sequence of Segmentation
+        Of the trials.
+    limits : PushLimits, optional
+        What the cell can do; near what has been done by default.
+
+    Returns
+    -------
+    NextTrial or None
+        The push with the most expected of it, for its duration; None where no push tells more.
+
+    """
+    limits = PushLimits.like(phases) if limits is None else limits
+    plans = list(_plans(bench, phases, limits))
+    if not plans:
+        return None
+    usual = float(np.median([t.t[-1] - t.t[0] for t in bench.trials]))
+    worth = []
+    name = '' if second is not None else _least_known(first)
+    for plan in plans:
+        if second is None:
+            gain = _sharpening(bench, first, plan, name)
+            score = gain - 1.0
+        else:
+            gain = _separation(bench, first, second, plan)
+            score = gain**2
+        worth.append((score / max(plan.duration, usual), gain, plan))
+    score, gain, best = max(worth, key=lambda each: each[0])
+    if score <= 0.0:
+        return None
+    if second is None:
+        separates: tuple[str, ...] = (name,)
+        reason = f'it makes the standard error of {name} smaller by a factor of {gain:.2g}'
+    else:
+        separates = (_odd(first, second), _odd(second, first))
+        reason = (
+            f'{separates[0]} and {separates[1]} answer it differently, by {gain:.2g} standard '
+            f'deviations of the noise'
+        )
+    return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason)
+
+
+def _odd(one: Refit, other: Refit) -> str:
+    """Return the effect that one model has and the other has not."""
+    only = [name for name in one.model.effects if name not in other.model.effects]
+    return only[0] if only else one.model.name
+
+
+def _plans(
+    bench: Workbench, phases: Sequence[Segmentation], limits: PushLimits
+) -> Iterator[_Plan]:
+    """Yield pushes within the limits."""
+    deepest = int(np.argmax([t.displacement.max() for t in bench.trials]))
+    like, shown = bench.trials[deepest], phases[deepest]
+    releases = shown.t_release is not None
+    speeds = np.geomspace(limits.slowest, limits.fastest, _SPEEDS)
+    longest = limits.longest_hold
+    for speed in speeds:
+        for share in _DEPTHS:
+            for hold in _HOLDS:
+                depth, time = share * limits.deepest, hold * longest / _HOLDS[-1]
+                trial = planned(
+                    like,
+                    push_speed=float(speed),
+                    depth=depth,
+                    hold_time=time,
+                    release=releases,
+                    campaign_time=max(t.campaign_time for t in bench.trials),
+                )
+                yield _Plan(float(speed), depth, time, trial)
+
+
+def _rows(bench: Workbench, refit: Refit, plan: _Plan) -> tuple[FloatArray, FloatArray]:
+    """Return the whitened prediction of a plan, and derivatives in shared and own parameters."""
+    problem = Problem(refit.model, (plan.trial,), bench.scatter)
+    state = np.zeros(problem.size)
+    state[: problem.p] = refit.theta
+    force, height = problem.records(state, 0)
+    rows = whitener(force_blocks(plan.trial), refit.force_noise)(force)
+    if plan.trial.height_t.size:
+        heights = whitener(height_blocks(plan.trial), refit.height_noise)(height)
+        rows = np.hstack((rows, heights))
+    prior, _ = problem.priors(state)
+    jacobian = np.vstack((rows[:-1].T, prior))
+    return np.append(rows[-1], np.zeros(prior.shape[0])), jacobian
+
+
+def _beyond_own(jacobian: FloatArray, p: int, *columns: FloatArray) -> list[FloatArray]:
+    """Return columns less what the trial's own parameters can make up for."""
+    basis, singular, _ = np.linalg.svd(jacobian[:, p:], full_matrices=False)
+    basis = basis[:, singular > 1e-10 * singular[0]]
+    return [column - basis @ (basis.T @ column) for column in columns]
+
+
+def _information(refit: Refit) -> FloatArray:
+    """Return what the trials tell of the shared parameters, beyond each trial's own."""
+    problem = refit.problem
+    total = np.zeros((problem.p, problem.p))
+    for index in range(len(problem.trials)):
+        _, jacobian = problem.reduced(refit.state, index)
+        (shared,) = _beyond_own(jacobian, problem.p, jacobian[:, : problem.p])
+        total += shared.T @ shared
+    return total
+
+
+def _separation(bench: Workbench, first: Refit, second: Refit, plan: _Plan) -> float:
+    """Return by how much the second misses what the first says, in standard deviations."""
+    # Both in the noise of the first.
+    alike = replace(second, force_noise=first.force_noise, height_noise=first.height_noise)
+    said, _ = _rows(bench, first, plan)
+    guessed, jacobian = _rows(bench, alike, plan)
+    size = min(said.size, guessed.size)
+    p = second.problem.p
+    difference = np.zeros(guessed.size)
+    difference[:size] = guessed[:size] - said[:size]
+    if not np.isfinite(difference).all() or not np.isfinite(jacobian).all():
+        return 0.0
+    miss, shared = _beyond_own(jacobian, p, difference, jacobian[:, :p])
+    known = _information(second)
+    scale = np.sqrt(np.diag(known) + np.sum(shared**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    normal = (known + shared.T @ shared) / np.outer(scale, scale)
+    gradient = shared.T @ miss / scale
+    change = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
+    return math.sqrt(max(float(miss @ miss - gradient @ change), 0.0))
+
+
+def _least_known(refit: Refit) -> str:
+    """Return the parameter with the largest relative error."""
+    spread = _spread(_information(refit))
+    values = refit.model.values(refit.theta)
+    relative = [
+        spread[i] if log else spread[i] / max(abs(values[i]), 1e-300)
+        for i, log in enumerate(refit.model.log)
+    ]
+    return refit.model.names[int(np.argmax(relative))]
+
+
+def _sharpening(bench: Workbench, refit: Refit, plan: _Plan, name: str) -> float:
+    """Return by what factor a push makes the error of a parameter smaller."""
+    _, jacobian = _rows(bench, refit, plan)
+    if not np.isfinite(jacobian).all():
+        return 1.0
+    p = refit.problem.p
+    (shared,) = _beyond_own(jacobian, p, jacobian[:, :p])
+    known = _information(refit)
+    place = refit.model.names.index(name)
+    return float(_spread(known)[place] / _spread(known + shared.T @ shared)[place])
+
+
+def _spread(information: FloatArray) -> FloatArray:
+    """Return standard errors."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 1e-300)) / scale, dtype=np.float64)
