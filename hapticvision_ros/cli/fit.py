@@ -327,6 +327,7 @@ def _paper_table(analyses: 'Sequence[TrialAnalysis]', system: 'UnitSystem') -> l
 
 def _model_table(campaign: 'CampaignAnalysis', system: 'UnitSystem') -> list[str]:
     """Return the lines of the table of the models' parameters."""
+    from hapticvision_ros.report.misses import short_name
     from hapticvision_ros.report.quantities import display_unit
 
     models = [campaign.before] if campaign.after is None else [campaign.before, campaign.after]
@@ -340,7 +341,7 @@ def _model_table(campaign: 'CampaignAnalysis', system: 'UnitSystem') -> list[str
             _cell(model.parameters[name], unit) if name in model.parameters else ''
             for name, unit in units.items()
         ]
-        rows.append([model.model.name, *cells])
+        rows.append([short_name(model), *cells])
     return _aligned(rows)
 
 

@@ -309,7 +309,7 @@ def _compared(
 
 
 def _of_models(fits: 'Sequence[Fit]') -> list[str]:
-    """Return what the fits warn of: what not all of them say, with the name of the model."""
+    """Return what the fits warn of; what not all say, with which one says it."""
     said = []
     for one in fits:
         doubtful = [
@@ -320,8 +320,8 @@ def _of_models(fits: 'Sequence[Fit]') -> list[str]:
         said.append([*one.warnings, *doubtful])
     shared = [warning for warning in said[0] if all(warning in each for each in said)]
     return shared + [
-        f'{one.model.name}: {warning}'
-        for one, each in zip(fits, said, strict=True)
+        f'{which}: {warning}'
+        for which, each in zip(('before', 'after'), said, strict=False)
         for warning in each
         if warning not in shared
     ]

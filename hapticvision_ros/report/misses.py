@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
+from hapticvision_ros.core.composition import BASE
 from hapticvision_ros.core.diagnosis.records import Channel, Misfit
 from hapticvision_ros.core.fit.campaign import TrialFit
 from hapticvision_ros.core.fit.held_out import labels, PHASES, residuals
@@ -112,6 +113,12 @@ def _beside(model: FittedModel, label: str, index: int, held_out: bool) -> Besid
     )
 
 
+def short_name(fitted: FittedModel) -> str:
+    """Return a model's name as it fits a sentence: with one effect at most by its name."""
+    effects = fitted.model.effects
+    return fitted.model.name if len(effects) < 2 else f'{BASE} with {len(effects)} effects'
+
+
 def size_text(misfit: Misfit, channel: Channel, units: UnitSystem) -> str:
     """Return the size of a misfit in its unit, and in percent of the measured range."""
     size = format_quantity(misfit.rmse, units[DIMENSIONS[channel]], digits=ROUGH)
@@ -164,7 +171,7 @@ def _verdict(one: Shown, campaign: CampaignAnalysis, units: UnitSystem) -> str:
     if noise:
         text += f', {format_number(miss.rmse / noise, digits=ROUGH)} times the noise of a sample'
     if one.after is not None and 'force' in one.after.misfit:
-        text += f'; {one.after.model.model.name} by '
+        text += f'; {short_name(one.after.model)} by '
         text += size_text(one.after.misfit['force'], 'force', units)
     return f'{name}: {text}.'
 
@@ -195,7 +202,7 @@ def held_out_sentences(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS)
         text = f'{how} the three-element model misses the {what} by '
         text += size_text(before.total[channel], channel, units)
         if after is not None and campaign.after is not None and channel in after.total:
-            text += f', {campaign.after.model.name} by '
+            text += f', {short_name(campaign.after)} by '
             text += size_text(after.total[channel], channel, units)
         sentences.append(f'{text}.')
     change = campaign.change

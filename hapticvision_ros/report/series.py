@@ -23,7 +23,7 @@ from hapticvision_ros.core.fit.exponential import ExponentialFit
 from hapticvision_ros.core.pipeline import TrialAnalysis
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
 from hapticvision_ros.report.figure import Mark, Panel, Phase, Role, Series
-from hapticvision_ros.report.misses import Beside, Shown
+from hapticvision_ros.report.misses import Beside, short_name, Shown
 from hapticvision_ros.report.quantities import UnitSystem
 
 PAPER_FORCE_LABEL: Final = 'eq. (4), hold alone'
@@ -108,7 +108,7 @@ def _modelled(
         return []
     zero = trial.values.get(f'{channel}_zero')
     raised = 0.0 if zero is None or zero.value is None else zero.value
-    return [_fit(role, beside.model.model.name, measured, fitted, scale, raised)]
+    return [_fit(role, short_name(beside.model), measured, fitted, scale, raised)]
 
 
 def _panel(

@@ -20,7 +20,7 @@ from typing import Final
 from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
 from hapticvision_ros.core.fit.held_out import labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis
-from hapticvision_ros.report.misses import DIMENSIONS, ROUGH
+from hapticvision_ros.report.misses import DIMENSIONS, ROUGH, short_name
 from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
 
 TITLES: Final[tuple[tuple[Channel, str], ...]] = (
@@ -40,7 +40,7 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
         for model in models:
             misfits = model.train if side == 'train' else model.held_out
             if misfits is not None:
-                columns.append((name, model.model.name, misfits))
+                columns.append((name, short_name(model), misfits))
     names = (*labels(campaign.trials), *labels(campaign.held_out))
     tables = []
     for channel, title in TITLES:

@@ -23,7 +23,7 @@ from hapticvision_ros.core.fit.noise import Noise
 from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.cells import cell, optional
 from hapticvision_ros.report.figure import Panel, svg
-from hapticvision_ros.report.misses import Shown, shown, size_text
+from hapticvision_ros.report.misses import short_name, Shown, shown, size_text
 from hapticvision_ros.report.quantities import Dimension, UnitSystem
 from hapticvision_ros.report.series import force_panel, height_panel
 
@@ -122,7 +122,7 @@ def _height_words(one: Shown, units: UnitSystem) -> str:
 def _missed(one: Shown, channel: Channel, units: UnitSystem) -> str:
     """Return by how much each model misses a channel."""
     sizes = [
-        f'{beside.model.model.name} by {size_text(beside.misfit[channel], channel, units)}'
+        f'{short_name(beside.model)} by {size_text(beside.misfit[channel], channel, units)}'
         for beside in (one.before, one.after)
         if beside is not None and channel in beside.misfit
     ]
