@@ -63,7 +63,7 @@ from std_srvs.srv import Trigger
 
 NAME: Final = 'bag_player'
 
-START_DEADLINE: Final = 30.0
+START_DEADLINE: Final = 60.0
 """How long the listeners are waited for [s]."""
 FIT_DEADLINE: Final = 120.0
 """How long the fit may take [s]."""
@@ -71,7 +71,7 @@ TICK: Final = 0.02
 """Longest time between two ticks of /clock [s]."""
 PROGRESS: Final = 5.0
 """Time between two lines of progress [s]."""
-QUEUE: Final = 2000
+QUEUE: Final = 20000
 
 
 class ReplayError(HapticVisionError):
@@ -205,6 +205,8 @@ class BagPlayer:
 
         """
         if not self._ended:
+            # Else the request might come before the last samples.
+            deliver(self._node)
             answer = self._call(FIT)
             if not answer.success:
                 raise ReplayError(f'the fitter cannot fit: {answer.message}')

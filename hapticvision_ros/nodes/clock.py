@@ -43,7 +43,7 @@ EXACT_REPLAY: Final = ParameterSpec(
 )
 """The parameter that a node with a `MessageClock` declares."""
 CLOCK: Final = '/clock'
-CLOCK_DEPTH: Final = 2000
+CLOCK_DEPTH: Final = 20000
 MOST_TICKS: Final = 4_000_000
 """Ticks that are kept at most: 64 MB."""
 
@@ -116,21 +116,30 @@ class MessageClock:
         self._times_of = last_ticks if self.exact else between_ticks
         self._sent = array('q')
         self._tick = array('q')
-        if self.replay:
-            profile = QoSProfile(depth=CLOCK_DEPTH, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-            self._intake = Intake(node, Clock, CLOCK, profile, raw=False)
+        # Of a player that sends reliably nothing is lost; any other is heard with best effort.
+        reliabilities = [QoSReliabilityPolicy.RELIABLE] if self.exact else []
+        reliabilities += [QoSReliabilityPolicy.BEST_EFFORT] if self.replay else []
+        self._intakes = [
+            Intake(node, Clock, CLOCK, QoSProfile(depth=CLOCK_DEPTH, reliability=item), raw=False)
+            for item in reliabilities
+        ]
+        self._heard: Intake | None = None
 
     @property
     def matched(self) -> bool:
         """Return whether someone tells the time of the replay, if this is one."""
-        return self.replay and self._intake.matched
+        return any(intake.matched for intake in self._intakes)
 
     def update(self) -> None:
         """Take the ticks that have come."""
         if self.replay:
-            for message, sent_ns, _ in self._intake.take():
-                self._sent.append(sent_ns)
-                self._tick.append(ns_from_stamp(message.clock))
+            self._heard = next((item for item in self._intakes if item.matched), self._heard)
+            for intake in self._intakes:
+                for message, sent_ns, _ in intake.take():
+                    # The one may bring again what the other has brought before it was matched.
+                    if intake is self._heard and (not self._sent or sent_ns > self._sent[-1]):
+                        self._sent.append(sent_ns)
+                        self._tick.append(ns_from_stamp(message.clock))
             if len(self._sent) > MOST_TICKS:
                 self.forget(MOST_TICKS // 2)
 

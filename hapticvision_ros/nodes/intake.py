@@ -31,8 +31,11 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSReliabilityPolicy
 
-SCALAR_DEPTH: Final = 2000
-"""Queue length of all but clouds: a replay may be many times faster than the cell."""
+SCALAR_DEPTH: Final = 20000
+"""
+Queue length of all but clouds: a replay may be many times faster than the cell, and its listeners
+may be held up for seconds. What is not used takes no memory.
+"""
 
 
 class _Parked(CallbackGroup):  # type: ignore[misc]

@@ -54,7 +54,7 @@ from rclpy.signals import SignalHandlerOptions
 
 BAGS = Path(__file__).parents[2] / 'bags'
 TRIALS = sorted({path.parent for path in BAGS.rglob('metadata.yaml')})
-DEADLINE = 40.0
+DEADLINE = 90.0
 MESSAGES_PER_SECOND = 1200.0
 RELATIVE = 1e-9
 """Sums over the samples are taken in the same order; only the start of the arrays in memory, and
@@ -218,12 +218,14 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
     interval = float(np.median(np.diff(trial.tool_height.t)))
     for kind, t in expected_times.items():
         if kind in heard:
+            # The segmenter is a process of its own: it may be later than the fitter. It starts
+            # anew at the commanded approach, some samples into the bag.
+            expected_time = pytest.approx(trial.start_ns * 1e-9 + t, rel=0.0, abs=interval)
             first = before[kind]
-            new = heard[kind][first:]
-            assert new, f'the segmenter has not seen the {kind}'
-            found = new[-1] - trial.start_ns * 1e-9
-            # The node starts anew at the commanded approach, some samples into the bag.
-            assert found == pytest.approx(t, abs=interval), kind
+            wait_until(
+                lambda kind=kind, first=first, at=expected_time: heard[kind][first:][-1:] == [at],
+                f'the {kind} of the segmenter at {t:g} s',
+            )
 
 
 def test_the_result_is_printed_with_a_reason_for_all_that_is_unknown(nodes):
