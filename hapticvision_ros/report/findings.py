@@ -76,7 +76,7 @@ def _advice(trial: NextTrial, units: UnitSystem) -> str:
     if len(trial.separates) > 1:
         purpose = f'tell {_listed(trial.separates, "and")} apart, by {gain} standard deviations'
     else:
-        purpose = f'sharpen {trial.separates[0]}, its standard error times {gain}'
+        purpose = f'sharpen {trial.separates[0]} by a factor of {gain}'
     return (
         f'Push next at {speed}, {depth} deep, and hold for {hold}: expected to {purpose} '
         f'({trial.reason.rstrip(".")}).'
