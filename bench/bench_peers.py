@@ -18,15 +18,20 @@ Bench: one relaxation curve of 2,000 points, fitted by this package and by its p
 The curve is that of a three-element body pushed for a second and held, with 1 % noise. A fit is
 judged by its distance from the noise-free force over the hold. Peers that know only a step of the
 displacement get the hold alone, from the largest force on; those that take any history get the
-whole. Run it with ``OMP_NUM_THREADS=1``. The peers need scipy, without which they are left out
-with a sentence.
+whole. The peers do not go together into one environment: each has one of its own in the folder
+``--venvs``, made there by ``--install``, and runs in a process of its own on the same data.
+
+``OMP_NUM_THREADS=1 python bench/bench_peers.py --venvs DIR --install``
 """
 
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
-import importlib.util
+from pathlib import Path
 from statistics import median
+import subprocess
+import sys
+import tempfile
 import time
 
 from closed_form import Body, Cell, record
@@ -131,37 +136,100 @@ def any_history(curve: Curve) -> np.ndarray:
     return model(found.x)[curve.hold]
 
 
-PEERS: tuple[tuple[str, str | None, Callable[[Curve], np.ndarray]], ...] = (
-    ('this: whole fit, noise, covariance', None, whole_fit),
-    ('this: linear identity only', None, identity),
-    ('scipy curve_fit, hold only', 'scipy', two_exponentials),
-    ('scipy odeint, any history', 'scipy', any_history),
+OURS: tuple[tuple[str, Callable[[Curve], np.ndarray]], ...] = (
+    ('this: whole fit, noise, covariance', whole_fit),
+    ('this: linear identity only', identity),
+    ('scipy odeint, any history', any_history),
+    ('scipy curve_fit, hold only', two_exponentials),
 )
+PEERS = (
+    ('rheojax Zener', 'rheojax==0.7.1'),
+    ('rheojax fractional Zener', 'rheojax==0.7.1'),
+    ('pyvisco Prony, 2 terms', 'pyvisco==2.1.3'),
+    ('hermes-rheo spectrum', 'hermes-rheo==2.0.0'),
+)
+"""Fit in ``bench/peer_fits.py``, and what to install for it."""
+PASCAL = 1e4
+"""The peers' bounds are made for moduli [Pa]: they get the force as that on 1 cm^2."""
+PATIENCE = 600.0
+"""Time that a peer has for all its fits [s]."""
+
+
+def environment(venvs: Path, requirement: str, *, install: bool) -> Path | None:
+    """Return the interpreter of a peer's environment, made if asked for; None without."""
+    folder = venvs / requirement
+    python = folder / 'bin' / 'python'
+    done = folder / 'installed'
+    if install and not done.exists():
+        print(f'installing {requirement} into {folder}', file=sys.stderr)
+        subprocess.run([sys.executable, '-m', 'venv', '--clear', str(folder)], check=True)
+        subprocess.run([str(python), '-m', 'pip', 'install', '-q', requirement], check=True)
+        done.touch()
+    return python if done.exists() else None
+
+
+def peer_fit(
+    curve: Curve, python: Path, name: str, repeats: int
+) -> tuple[np.ndarray, list[float]] | str:
+    """Return a peer's fitted hold and its times, the first one's first; or why there are none."""
+    with tempfile.TemporaryDirectory() as folder:
+        data, out = Path(folder, 'data.npz'), Path(folder, 'out.npz')
+        t = curve.t[curve.hold]
+        np.savez(data, t=t - t[0] + 1.0 / RATE, force=PASCAL * curve.force[curve.hold])
+        script = Path(__file__).with_name('peer_fits.py')
+        command = [str(python), str(script), name, str(data), str(repeats), str(out)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=PATIENCE, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return f'not done in {PATIENCE:.0f} s'
+        if done.returncode:
+            return f'fails: {done.stderr.strip().splitlines()[-1]}'
+        with np.load(out) as held:
+            return held['fitted'] / PASCAL, held['times'].tolist()
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--repeats', type=int, default=5, help='fits of which the median counts')
+    parser.add_argument('--venvs', type=Path, help="folder of the peers' environments")
+    parser.add_argument('--install', action='store_true', help='make those that are not there')
     args = parser.parse_args()
     curve = Curve()
-    print(f'{curve.t.size} points; median CPU time of {args.repeats} warm fits')
-    print(f'{"fit":<38}{"time":>11}{"over first":>12}{"error":>9}')
+    print(f'{curve.t.size} points; CPU time of the first fit, and the median of {args.repeats}')
+    print('| fit | first | then | over the first line | error |\n| --- | --- | --- | --- | --- |')
     reference = None
-    for name, package, work in PEERS:
-        if package is not None and importlib.util.find_spec(package) is None:
-            print(f'{name:<38} left out: {package} is not installed (pip install {package})')
-            continue
-        fitted = work(curve)
-        times = []
-        for _ in range(args.repeats):
-            start = time.process_time()
-            work(curve)
-            times.append(time.process_time() - start)
-        spent = median(times)
+
+    def show(name: str, fitted: np.ndarray, times: list[float]) -> None:
+        nonlocal reference
+        spent = median(times[1:])
         reference = spent if reference is None else reference
         error = 100.0 * curve.error(fitted)
-        print(f'{name:<38}{spent * 1e3:>8.1f} ms{spent / reference:>12.2f}{error:>7.3f} %')
+        print(
+            f'| {name} | {times[0] * 1e3:.1f} ms | {spent * 1e3:.1f} ms '
+            f'| {spent / reference:.2f} | {error:.3f} % |',
+            flush=True,
+        )
+
+    for name, work in OURS:
+        times = []
+        for _ in range(args.repeats + 1):
+            start = time.process_time()
+            fitted = work(curve)
+            times.append(time.process_time() - start)
+        show(name, fitted, times)
+    for name, requirement in PEERS:
+        python = environment(args.venvs, requirement, install=args.install) if args.venvs else None
+        if python is None:
+            print(f'| {name} | not measured: no {requirement} (--venvs, --install) | | | |')
+            continue
+        found = peer_fit(curve, python, name, args.repeats)
+        if isinstance(found, str):
+            print(f'| {name} | {found} | | | |', flush=True)
+            continue
+        show(name, *found)
 
 
 if __name__ == '__main__':
