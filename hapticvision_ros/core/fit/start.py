@@ -30,6 +30,8 @@ from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
 _GRID: Final = 48
+_SAME: Final = 1e-9
+"""Relative difference between two steps that makes none."""
 _LONGEST: Final = 100.0
 """The slowest relaxation that is tried, in durations of a contact."""
 
@@ -45,7 +47,7 @@ def _products(duration, travel, force, count, times, out):  # type: ignore[no-un
         mean = 0.0
         for i in range(duration.size):
             h = duration[i]
-            if h != known:
+            if abs(h - known) > _SAME * h:
                 known = h
                 left = np.exp(-h / T)
                 mean = -T / h * np.expm1(-h / T)

@@ -20,6 +20,8 @@ from typing import Final
 from hapticvision_ros.core.kernels import kernel
 import numpy as np
 
+_SAME: Final = 1e-9
+"""Relative difference between two steps that makes none."""
 _TURNS: Final = 64
 """Steps for which sine and cosine are turned on before they are computed anew."""
 _ASTRAY: Final = 1e-6
@@ -93,7 +95,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     d_mean = 0.0
     for i in range(value.size):
         h = t[i + 1] - t[i]
-        if h != known:
+        if abs(h - known) > _SAME * h:
             known = h
             if time_constant > 0.0:
                 s = h / time_constant
@@ -149,7 +151,7 @@ def hum(  # type: ignore[no-untyped-def]
     for i in range(value.size):
         h = t[i + 1] - t[i]
         angle = omega * (t[i] + 0.5 * h - centre) + phase
-        if abs(h - known) > 1e-9 * h:
+        if abs(h - known) > _SAME * h:
             known = h
             half = 0.5 * omega * h
             mean = math.sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0
