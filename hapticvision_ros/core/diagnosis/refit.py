@@ -23,10 +23,12 @@ its own residual most likely, so that a model is not preferred for what the nois
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass, replace
+from itertools import product
 import math
 from typing import Final
 
 from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
+from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.fit.campaign import (
     carried,
@@ -52,7 +54,7 @@ from hapticvision_ros.core.fit.noise_model import (
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
-_FACTORS: Final = (1.0, 0.1, 0.01, 10.0)
+_FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 """Strengths, over the first guess, that a search starts from."""
 _LOOKS: Final = 6
 _STEPS: Final = 30
@@ -420,10 +422,21 @@ class Workbench:
         guess = model.values(model.first_guess(scale))
         new = places_of(model, added)
         signless = any(guess[k] != 0.0 for k in new)
+        # A stiffness in series is the weaker the larger it is, and its viscosity with it.
+        stiff = np.concatenate(
+            [
+                np.full(
+                    len(BY_NAME[name].parameters),
+                    math.isinf(BY_NAME[name].parameters[0].neutral),
+                )
+                for name in added
+            ]
+        )
+        scans = list(product(*(model.parameters[k].scan for k in new)))
         states = []
-        for factor in _FACTORS if signless else _FACTORS[:1]:
+        for factor, scan in product(_FACTORS if signless else _FACTORS[:1], scans):
             values = model.values(begin[: problem.p])
-            values[new] = factor * guess[new]
+            values[new] = guess[new] * np.where(stiff, 1.0 / factor, factor) * scan
             state = begin.copy()
             state[: problem.p] = np.clip(model.theta(values), *model.bounds)
             fresh = state.copy()

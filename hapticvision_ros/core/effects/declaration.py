@@ -136,6 +136,8 @@ class EffectParameter:
         Whether the fit works with its logarithm. So it does for what has a scale and cannot be
         zero; a strength, which is zero where the effect is absent, stays linear, so that an
         interval can reach zero.
+    scan : tuple of float
+        Factors on the guess that a search starts from, whatever the strength.
 
     """
 
@@ -147,6 +149,7 @@ class EffectParameter:
     guess: Callable[[Scale], float]
     neutral: float = 0.0
     log: bool = False
+    scan: tuple[float, ...] = (1.0,)
 
 
 @dataclass(slots=True)

@@ -53,6 +53,7 @@ EFFECT = Effect(
             lambda scale: 0.3 * scale.C1,
             neutral=math.nan,
             log=True,
+            scan=(1.0, 0.1, 10.0),
         ),
     ),
     validity=(
