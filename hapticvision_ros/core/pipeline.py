@@ -22,7 +22,7 @@ imported in its functions, since the fitter node starts with this module.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal, TYPE_CHECKING
 
@@ -45,11 +45,6 @@ type HeldOutBy = Literal['name', 'condition']
 """Whether trials were named to be held out, or each condition of the push was left out in turn."""
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
-CHOICE_HAS_SEEN: Final = (
-    'the held-out errors are of parameters fitted without the speed and depth that they are for, '
-    'but the choice of the effects has seen all trials: only trials that are named to be held out '
-    'are unseen by both'
-)
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -264,7 +259,7 @@ def _compared(
         unseen, against = _predicted(trials, held_out, fits), held_out
     else:
         tell('leaving out each condition of the push in turn')
-        by, unseen, against = 'condition', _left_out(trials, fits), trials
+        by, unseen, against = 'condition', _left_out(trials, fits, diagnosis), trials
     errors = [misfits(one.trials, against, noise) for one in unseen]
     if not any(errors):
         by, errors, unseen = None, [None] * len(fits), []
@@ -272,13 +267,12 @@ def _compared(
     for one in unseen[:1]:
         told += one.warnings
     change = held_out_change(*unseen) if len(unseen) > 1 else None
-    if diagnosis is not None and after is not None:
-        if by == 'condition':
-            told.append(CHOICE_HAS_SEEN)
-        if change is not None and change.change > change.std:
+    if diagnosis is not None and after is not None and change is not None:
+        names = ', '.join(after.model.effects)
+        if change.change > change.std:
             told.append(
-                f'a contradiction: {", ".join(after.model.effects)} explains the fitted trials, '
-                f'yet on unseen ones the squares grow by a factor of {change.ratio:.3g}'
+                f'a contradiction: {names} explains the fitted trials, yet on unseen ones the '
+                f'squares grow by a factor of {change.ratio:.3g}'
             )
     for symbol, estimate in (('force', noise.force), ('height', noise.height)):
         if estimate.reason is not None:
@@ -338,10 +332,13 @@ def _predicted(
     ]
 
 
-def _left_out(trials: Sequence[TrialAnalysis], fits: 'Sequence[Fit]') -> 'list[Unseen]':
-    """Return each trial beside what each model says of it whose parameters have not seen it."""
+def _left_out(
+    trials: Sequence[TrialAnalysis], fits: 'Sequence[Fit]', diagnosis: 'Diagnosis | None'
+) -> 'list[Unseen]':
+    """Return each trial beside what models say of it that have not seen it."""
     from collections.abc import Collection
 
+    from hapticvision_ros.core.diagnosis.search import choose_again
     from hapticvision_ros.core.fit.held_out import (
         leave_one_condition_out,
         prepared_of,
@@ -350,7 +347,12 @@ def _left_out(trials: Sequence[TrialAnalysis], fits: 'Sequence[Fit]') -> 'list[U
     )
 
     def refit(left_out: Collection[int]) -> list[Trained]:
-        trained = (refit_without(one, trials, left_out) for one in fits)
+        trained = [refit_without(one, trials, left_out) for one in fits]
+        if diagnosis is not None and len(fits) > 1:
+            names = {trials[index].trial.name for index in left_out}
+            chosen = choose_again(diagnosis, names)
+            if chosen is not None and trained[-1] is not None:
+                trained[-1] = replace(trained[-1], model=chosen.model, theta=chosen.theta)
         return [one for one in trained if one is not None]
 
     prepared = prepared_of(fits[-1])

@@ -147,7 +147,8 @@ class Smooth:
     count : int
         How many of them the data can tell.
     force, height : tuple of ndarray
-        Their sum in each trial, shapes (n,), (m,): to be added to what the model predicts.
+        What they and the parameters, as far as these move with them, add to the prediction of
+        each trial, shapes (n,), (m,).
 
     """
 
@@ -312,12 +313,15 @@ class Workbench:
                 problem, found.state, rows, columns, whiteners
             )
             left = self._left(problem, rows, columns, solution)
-        curves = solution[problem.size :]
         return Smooth(
             gain=deviance - squares - determinant,
             count=count,
-            force=tuple(curves @ each.force for each in columns),
-            height=tuple(curves @ each.height for each in columns),
+            force=tuple(
+                after - force[-1] for (force, _), (after, _) in zip(rows, left, strict=True)
+            ),
+            height=tuple(
+                after - height[-1] for (_, height), (_, after) in zip(rows, left, strict=True)
+            ),
         )
 
     def guess(self, model: Model, near: Refit) -> tuple[Problem, FloatArray]:

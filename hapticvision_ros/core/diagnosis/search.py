@@ -21,7 +21,7 @@ selected by refits; what is left is held against smooth curves; and the model wi
 accepted is fitted again.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -60,6 +60,10 @@ _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
 """Scatter of the trials that is tried where no push was repeated."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
+_OPEN: Final = 4
+"""Candidates beside those in the sets among which the choice is made anew without some trials."""
+_NEAR: Final = 0.7
+"""Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_REST: Final = 0.05
 """A rest below this share of the noise is of no consequence."""
 
@@ -194,22 +198,26 @@ class _Search:
         self.tell('looking at what is left')
         rest = self._rest(bench, base, chosen, rounds)
         ranking = self._ranking(bench, base, rounds[0])
-        unexplained = self._unexplained(bench, base, chosen, rest)
-        status: Status = 'none'
-        if order:
-            status = 'partly_explained' if rest else 'explained'
-        elif rest:
-            status = 'unexplained'
-        sets = [each.alike for each in rounds if each.alike and each.alike[0] in order]
-        sets.sort(key=lambda alike: order.index(alike[0]))
+        sets = [each for each in rounds if each.alike and each.alike[0] in order]
+        sets.sort(key=lambda each: order.index(each.alike[0]))
+        status: Status = 'explained' if order else 'none'
+        named = [each.alike for each in sets]
+        if rest:
+            taken = base.deviance - chosen.deviance
+            if rest[0].gain > taken:
+                status, order, chosen, named = 'unexplained', (), base, []
+            else:
+                # A model that is known to be wrong does not tell its effects from others well.
+                status = 'partly_explained'
+                named = [_widened(each) for each in sets]
         return _Outcome(
             status=status,
             effects=order,
-            sets=tuple(sets),
+            sets=tuple(named),
             not_testable=(*hidden, LOAD_CELL_GAIN),
             look_alikes=pairs(bench, base, rounds[0].candidates, order),
             ranking=ranking,
-            unexplained=unexplained,
+            unexplained=self._unexplained(bench, base, chosen, rest),
             next_trial=self._next(bench, chosen, rounds, order),
             warnings=tuple(self.warnings),
             chosen=chosen,
@@ -336,3 +344,48 @@ class _Search:
             share_of_chi2=left**2 / (left**2 + taken**2),
             where=tuple(describe(found) for found in rest),
         )
+
+
+def _widened(found: Round) -> tuple[str, ...]:
+    """Return the effects that a round cannot tell apart if no model is right."""
+    leader = found.candidates[0]
+    near = [
+        each.effect
+        for each in found.candidates
+        if each.refit is not None and each.gain > _NEAR * leader.gain
+    ]
+    return (found.alike[0], *(name for name in near if name != found.alike[0]))
+
+
+def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
+    """
+    Choose the effects and fit the parameters without some trials.
+
+    The choice is among the candidates that all trials leave open: what gains less than all of
+    them by a wide margin could not come first without a trial either.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Of all trials.
+    left_out : collection of str
+        Names of the trials to do without.
+
+    Returns
+    -------
+    Refit or None
+        The model that the others ask for; None where none is left.
+
+    """
+    whole = found.before.problem.trials
+    trials = [trial for trial in whole if trial.name not in left_out]
+    if not trials:
+        return None
+    scatter = found.after.problem.scatter
+    bench = Workbench(trials, scatter if scatter.size else None)
+    base = bench.base(found.before)
+    # Those that are in a set stay open; of the others, the best.
+    open_ = [name for alike in found.sets for name in alike]
+    others = [each.effect for each in found.ranking if each.effect not in open_]
+    chosen, rounds = select(bench, base, [*open_, *others[:_OPEN]])
+    return eliminate(bench, chosen, rounds)[0]

@@ -32,6 +32,7 @@ from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Smooth, Workbe
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
+from numpy.typing import NDArray
 
 _PHASES: Final[tuple[Phase, ...]] = ('push', 'hold', 'release', 'recover')
 _HATS: Final = 5
@@ -120,8 +121,9 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
 
     """
     rough = []
+    calm = _calm(found)
     for curve in _curves(bench):
-        columns = _columns(bench, phases, curve)
+        columns = _columns(bench, phases, curve, calm)
         smooth = bench.smooth(found, columns, again=False)
         if smooth.count:
             gain = smooth.gain - smooth.count * math.log(bench.samples)
@@ -151,7 +153,18 @@ def _curves(bench: Workbench) -> Iterator[Curve]:
                     yield Curve(channel, phase, along, size)
 
 
-def _columns(bench: Workbench, phases: Sequence[Segmentation], curve: Curve) -> list[Columns]:
+def _calm(found: Refit) -> list[NDArray[np.bool_]]:
+    """Return, for each trial, in which steps the force does not jump within a sample."""
+    limit = found.force_noise.std**2
+    return [jumps <= limit for jumps in found.problem.jumps(found.state)]
+
+
+def _columns(
+    bench: Workbench,
+    phases: Sequence[Segmentation],
+    curve: Curve,
+    calm: Sequence[NDArray[np.bool_]],
+) -> list[Columns]:
     """Return the hats of a curve in each trial."""
     count = len(bench.trials) * _HATS if curve.size == 'own' else _HATS
     result = []
@@ -164,6 +177,10 @@ def _columns(bench: Workbench, phases: Sequence[Segmentation], curve: Curve) -> 
         first = index * _HATS if curve.size == 'own' else 0
         size = float(np.abs(trial.force).max()) if curve.size == 'force' else 1.0
         rows[first : first + _HATS] = size * _hats(trial, segmentation, curve, t)
+        if curve.channel == 'force':
+            rows[:, ~calm[index]] = 0.0
+        if np.count_nonzero(rows[first : first + _HATS].any(axis=0)) < 2 * _HATS:
+            rows[first : first + _HATS] = 0.0
         result.append(columns)
     return result
 

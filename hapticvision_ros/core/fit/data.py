@@ -49,7 +49,10 @@ _LEFT_SIGMAS: Final = 6.0
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _AIR: Final = 0.2
-"""The tool's path is followed up to this share of the depth above the first touch."""
+"""The tool's path is followed closely up to this share of the depth above the first touch."""
+_COARSE: Final = 0.1
+"""Above that, within this part of it."""
+_MOST_IN_AIR: Final = 24
 _DETECTION: Final = 0.01
 """Scatter of the detected touch in any noise, over the depth."""
 _SHALLOW: Final = (0.01, 0.03, 0.1)
@@ -525,7 +528,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     Returns
     -------
     ToolPath
-        The path; above the object it stops at a fifth of the depth.
+        The path; from a fifth of the depth above the object on, only roughly.
 
     """
     t, value = displacement.t, displacement.value
@@ -534,11 +537,8 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         t, value = t[~bad], value[~bad]
     noise = _encoder_noise(value)
     top = -_AIR * float(value.max())
-    # In the air only that it is in the air matters.
     below = np.flatnonzero(value > top)
     first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
-    air = (np.array([t[0]]), np.array([value[0]])) if first > 0 else (np.empty(0), np.empty(0))
-    leave = np.array([t[-1]]) if last < t.size else np.empty(0)
     inner_t, inner_value = t[first:last], value[first:last]
     if noise <= 1e-7 * float(np.ptp(inner_value)) or inner_t.size < 16:
         knots, levels = _thinned(inner_t, inner_value)
@@ -550,17 +550,28 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         knots, levels = _followed(inner_t, inner_value, knots, levels, noise)
         if knots.size > _MOST_PIECES:
             knots, levels = inner_t, inner_value
+    before = _coarse(t[:first], value[:first], -top)
+    after = _coarse(t[last:], value[last:], -top)
     return ToolPath(
-        np.concatenate((air[0][air[0] < knots[0]], knots, leave[leave > knots[-1]])),
-        np.concatenate(
-            (
-                np.minimum(air[1], top)[air[0] < knots[0]],
-                levels,
-                np.full(leave.size, min(top, float(levels[-1])))[leave > knots[-1]],
-            )
-        ),
+        np.concatenate((before[0], knots, after[0])),
+        np.concatenate((before[1], levels, after[1])),
         noise,
     )
+
+
+def _coarse(t: FloatArray, value: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return corners of a path in the air, where little depends on it."""
+    if t.size < 2:
+        return t, value
+    corners = [0, t.size - 1]
+    tolerance = _COARSE * scale
+    while len(corners) < _MOST_IN_AIR:
+        away = np.abs(value - np.interp(t, t[corners], value[corners]))
+        far = int(np.argmax(away))
+        if away[far] <= tolerance:
+            break
+        corners = sorted([*corners, far])
+    return t[corners], value[corners]
 
 
 def _followed(
