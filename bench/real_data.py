@@ -130,7 +130,7 @@ class Miss:
         return cls(
             math.sqrt(float(np.mean((measured - said) ** 2))),
             math.sqrt(float(np.mean((measured - factor * said) ** 2))),
-            float(np.abs(measured).max()),
+            float(np.abs(full.samples.force[good]).max()),
             own[0] / one.onset_std,
         )
 
