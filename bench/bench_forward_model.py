@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Time of the forward model, for the base and for each effect: nanoseconds a force sample, warm.
+Time of the forward model, for the base and for each effect: nanoseconds of CPU time a force sample.
 
 One trial of 130 s at 1 kHz with its height at 30 Hz: approach, push, hold, release and recovery.
 The models take turns, so that a busy machine slows all alike; the best of the rounds counts. The
@@ -77,9 +77,9 @@ def main() -> int:
         for model in models:
             theta = model.first_guess(SCALE)
             for directions in (False, True):
-                start = time.perf_counter()
+                start = time.process_time()
                 model.predict(trial, theta, directions=directions)
-                spent = (time.perf_counter() - start) / (trial.t.size - 1) * 1e9
+                spent = (time.process_time() - start) / (trial.t.size - 1) * 1e9
                 key = (model.name, directions)
                 best[key] = min(best.get(key, np.inf), spent)
     base = best[models[0].name, False]
