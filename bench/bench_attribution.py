@@ -103,11 +103,11 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
                 task['r'], name, campaign, misfit, shape=shape, seed=seed, tolerance=0.1
             )
             acting.append(undeclared(name, size, campaign, shape=shape))
-    except InputError:
+    except (InputError, ValueError):
         return {**result, 'skipped': True}
-    trials = run(campaign, acting, seed=seed).trials
-    start, cpu = time.perf_counter(), time.process_time()
     try:
+        trials = run(campaign, acting, seed=seed).trials
+        start, cpu = time.perf_counter(), time.process_time()
         segmented = [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
         found = diagnose(segmented)
     except Exception:

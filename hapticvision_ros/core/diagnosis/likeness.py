@@ -53,9 +53,13 @@ def direction(bench: Workbench, base: Refit, effect: str, refit: Refit | None) -
 
     """
     if refit is None:
-        problem, state = bench.guess(Model((*base.model.effects, effect)), base)
-    else:
-        problem, state = refit.problem, refit.state
+        problem, states = bench.guesses(Model((*base.model.effects, effect)), base)
+        return _change(bench, base, problem, states[0])
+    return _change(bench, base, refit.problem, refit.state)
+
+
+def _change(bench: Workbench, base: Refit, problem: Problem, state: FloatArray) -> list[Columns]:
+    """Return what a state changes in the prediction of the base model."""
     result = []
     for index in range(len(bench.trials)):
         force, height = bench.residual(problem, state, index)
@@ -136,13 +140,17 @@ def visible(bench: Workbench, base: Refit, tangent: Tangent, effect: str) -> boo
     Returns
     -------
     bool
-        False if what it does at its first guess is nothing, or nothing that the base model could
-        not do as well.
+        False if what it does is nothing at any usual strength, or nothing that the base model
+        could not do as well.
 
     """
-    curve = direction(bench, base, effect, None)
-    raw = float(np.linalg.norm(tangent.white(curve)))
-    return raw > 0.0 and float(np.linalg.norm(tangent.beyond(curve))) > _HIDDEN * raw
+    problem, states = bench.guesses(Model((*base.model.effects, effect)), base)
+    for state in states:
+        curve = _change(bench, base, problem, state)
+        raw = float(np.linalg.norm(tangent.white(curve)))
+        if raw > 0.0 and float(np.linalg.norm(tangent.beyond(curve))) > _HIDDEN * raw:
+            return True
+    return False
 
 
 def pairs(

@@ -36,6 +36,7 @@ from hapticvision_ros.core.fit.campaign import (
     Fit,
     force_blocks,
     height_blocks,
+    longest_memory,
     places_of,
     Problem,
     scale_of,
@@ -59,7 +60,7 @@ _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 _LOOKS: Final = 6
 _STEPS: Final = 30
 _ROUNDS: Final = 3
-_BLURS: Final = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
+_BLURS: Final = (1.0, 0.5, 0.25)
 """How well moments of jumps may be known, over a sample."""
 _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
@@ -174,6 +175,7 @@ class Workbench:
     def __init__(self, trials: Sequence[FitTrial], scatter: FloatArray | None) -> None:
         self.trials = tuple(trials)
         self.scatter = scatter
+        self.memory = longest_memory(trials)
         self.samples = sum(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -324,17 +326,17 @@ class Workbench:
             ),
         )
 
-    def guess(self, model: Model, near: Refit) -> tuple[Problem, FloatArray]:
-        """Return the problem of a model with more effects, at the first guess of these."""
+    def guesses(self, model: Model, near: Refit) -> tuple[Problem, list[FloatArray]]:
+        """Return the problem of a model with more effects, and states with these in action."""
         problem = Problem(model, self.trials, self.scatter)
         begin = carried(near.problem, near.state, problem)
         added = [name for name in model.effects if name not in near.model.effects]
-        state = self._starts(problem, begin, near, added)[0]
-        if np.array_equal(state[: problem.p], begin[: problem.p]):
+        states = self._starts(problem, begin, near, added)[::2]
+        if np.array_equal(states[0][: problem.p], begin[: problem.p]):
             # What has no first guess is seen by a small step.
             for k in places_of(model, added):
-                state[k] += _SMALL * max(abs(state[k]), 1.0)
-        return problem, state
+                states[0][k] += _SMALL * max(abs(states[0][k]), 1.0)
+        return problem, states
 
     def whiteners(
         self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray]
@@ -530,10 +532,12 @@ class Workbench:
             forces.append(_bare(force_blocks(trial, jumps[index]), left[index][0]))
             if trial.height_t.size:
                 heights.append(_bare(height_blocks(trial), left[index][1]))
-        force = estimate(forces, force, self.trials[0].interval, everywhere=False)
+        longest, longest_height = self.memory
+        interval = self.trials[0].interval
+        force = estimate(forces, force, interval, everywhere=False, longest=longest)
         if heights:
             interval = self.trials[0].height_interval
-            height = estimate(heights, height, interval, everywhere=False)
+            height = estimate(heights, height, interval, everywhere=False, longest=longest_height)
         return force, height
 
 

@@ -46,7 +46,7 @@ from hapticvision_ros.core.diagnosis.selection import (
 )
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
-from hapticvision_ros.core.effects import EFFECTS
+from hapticvision_ros.core.effects import BY_NAME, EFFECTS
 from hapticvision_ros.core.fit.campaign import Fit, fit_prepared, line_spectrum, Segmented
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.records import FloatArray, Segmentation
@@ -187,16 +187,22 @@ class _Search:
             scattered = scatter.cautious
             bench = Workbench(plain.trials, scattered)
             base = bench.base(self.before)
-        chosen, rounds, order = self._select(bench, base, names)
+        usual = [name for name in names if not BY_NAME[name].extra]
+        chosen, rounds, order = self._select(bench, base, usual)
         if scatter is None:
             found = self._unrepeated(bench, base, chosen)
             if found is not None:
                 scattered = found
                 bench = Workbench(plain.trials, scattered)
                 base = bench.base(self.before)
-                chosen, rounds, order = self._select(bench, base, names)
+                chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
         rest = self._rest(bench, base, chosen, rounds)
+        if rest and len(usual) < len(names):
+            again = self._select(bench, base, names)
+            if again[0].deviance < chosen.deviance - LEAD:
+                chosen, rounds, order = again
+                rest = self._rest(bench, base, chosen, rounds)
         ranking = self._ranking(bench, base, rounds[0])
         sets = [each for each in rounds if each.alike and each.alike[0] in order]
         sets.sort(key=lambda each: order.index(each.alike[0]))

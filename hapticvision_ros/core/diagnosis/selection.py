@@ -130,6 +130,20 @@ def strength(bench: Workbench, one: Refit, other: Refit) -> float:
     return math.sqrt(float(difference @ difference) / total)
 
 
+def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
+    """
+    Return whether an effect only draws jumps of the force out over less than a sample.
+
+    How a load cell takes its samples, and how exactly the moments are known at which the tool
+    starts and stops, does the same.
+    """
+    time_constant = BY_NAME[effect].time_constant
+    if time_constant is None:
+        return False
+    values = dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
+    return time_constant(values) < bench.trials[0].interval
+
+
 def try_all(
     bench: Workbench,
     without: Refit,
@@ -227,7 +241,14 @@ def select(
         open_ = candidates_for(current.model, names)
         tried = try_all(bench, current, open_, workers=workers, progress=progress)
         weakest = max(WEAKEST, _SECONDARY * strongest)
-        good = [each for each in tried if each.gain > GATE and each.strength > weakest]
+        good = [
+            each
+            for each in tried
+            if each.gain > GATE
+            and each.strength > weakest
+            and each.refit is not None
+            and not fleeting(bench, each.refit, each.effect)
+        ]
         if not good or good[0].refit is None:
             rounds.append(Round(current, tried, ()))
             break

@@ -26,7 +26,7 @@ W. Squire and G. Trapp, SIAM Rev. 40, 1998, 110-112, doi:10.1137/S00361445963124
 
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -275,6 +275,11 @@ class Effect:
         What differs from trial to trial and is of no interest.
     excludes : tuple of str
         Effects with which it has no common meaning.
+    time_constant : callable, optional
+        For an effect that shows where the force jumps: over which time it draws a jump out, from
+        the parameters of the model by name [s].
+    extra : bool
+        Whether it is none of the bag contract's: it is looked for where those do not suffice.
 
     """
 
@@ -290,3 +295,10 @@ class Effect:
     observe: Observe | None = None
     trial_parameters: tuple[EffectParameter, ...] = ()
     excludes: tuple[str, ...] = ()
+    time_constant: Callable[[Mapping[str, float]], float] | None = None
+    extra: bool = False
+
+
+def dashpots(values: Mapping[str, float]) -> float:
+    """Return the viscosity of C1 and C2 in series, which answers a sudden motion [N.s/m]."""
+    return values['C1'] * values['C2'] / (values['C1'] + values['C2'])

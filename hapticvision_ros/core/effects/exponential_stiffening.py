@@ -80,4 +80,5 @@ EFFECT = Effect(
         'Tissues, 2nd ed., 1993, ch. 7 (a law of the stretch times a law of time).'
     ),
     observe=_observe,
+    extra=True,
 )

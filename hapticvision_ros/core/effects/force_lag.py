@@ -55,4 +55,5 @@ EFFECT = Effect(
         '(first-order instrument).'
     ),
     observe=_observe,
+    time_constant=lambda values: values['T_f'],
 )

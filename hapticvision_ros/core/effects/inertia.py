@@ -16,7 +16,13 @@
 
 from collections.abc import Sequence
 
-from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.effects.declaration import (
+    dashpots,
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+)
 from hapticvision_ros.core.models.chain import Slot
 
 
@@ -53,4 +59,5 @@ EFFECT = Effect(
     ),
     source='The paper, eq. (3), and the third property in its section 2.1.',
     shape=_shape,
+    time_constant=lambda values: values['M'] / dashpots(values),
 )

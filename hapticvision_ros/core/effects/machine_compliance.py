@@ -17,7 +17,13 @@
 from collections.abc import Sequence
 import math
 
-from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.effects.declaration import (
+    dashpots,
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+)
 from hapticvision_ros.core.models.chain import Slot
 
 
@@ -54,4 +60,5 @@ EFFECT = Effect(
         'doi:10.1557/JMR.1992.1564 (load-frame compliance).'
     ),
     shape=_shape,
+    time_constant=lambda values: dashpots(values) / values['K_m'],
 )

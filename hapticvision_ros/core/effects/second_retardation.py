@@ -67,4 +67,5 @@ EFFECT = Effect(
         '1989, ch. 5.'
     ),
     shape=_shape,
+    time_constant=lambda values: values['C_3'] / values['K_2'],
 )

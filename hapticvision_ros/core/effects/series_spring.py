@@ -17,7 +17,13 @@
 from collections.abc import Sequence
 import math
 
-from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.effects.declaration import (
+    dashpots,
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+)
 from hapticvision_ros.core.models.chain import Slot
 
 
@@ -55,4 +61,5 @@ EFFECT = Effect(
         'ch. 5.'
     ),
     shape=_shape,
+    time_constant=lambda values: dashpots(values) / values['K_0'],
 )

@@ -44,6 +44,7 @@ from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.fit.least_squares import minimise, Solution
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
+    deviance,
     estimate,
     Record,
     SensorNoise,
@@ -71,6 +72,22 @@ _STEPS: Final = 25
 """Evaluations from each of several starts, then from the best."""
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
+_FARTHEST_ONSET: Final = 5.0
+"""The onset is at most so many errors of the detection from the detected contact."""
+_MEMORY: Final = 0.01
+_MEMORY_SAMPLES: Final = 20
+"""Longest memory of a sensor's noise, over the record or in samples, where no more is seen."""
+_BASELINE: Final = 64
+"""Steps without contact, in all trials together, from which on they tell the noise's memory."""
+_FEW: Final = 8
+_EDGE: Final = 4.0
+_CLEARANCE: Final = 0.1
+"""Steps, samples before the touch, and way above the surface over the depth, without contact."""
+_SLOWER: Final = 2.0
+_SEEN: Final = 12.0
+"""Gain in likelihood from which on slower noise is seen without contact."""
+_ZERO: Final = 0.03
+"""How far the zero of a load cell may be from the one before contact, over the largest force."""
 """The onset is looked for in this many errors of the detection, and so often more finely."""
 _QUIET: Final = 1e-7
 """Noise that a sensor has at least, over the largest reading."""
@@ -296,6 +313,10 @@ class Problem:
             own = slice(place.start, place.start + self.q)
             lower[own] = [parameter.lower for parameter in model.trial_parameters]
             upper[own] = [parameter.upper for parameter in model.trial_parameters]
+        for trial, place in zip(self.trials, self.places, strict=True):
+            # Further away it would stand in for what the model lacks.
+            lower[place.start] = -_FARTHEST_ONSET * trial.onset_std
+            upper[place.start] = _FARTHEST_ONSET * trial.onset_std
         self.bounds = (lower, upper)
 
     def set_noise(
@@ -451,8 +472,12 @@ class Problem:
     def _known(self, trial: FitTrial) -> tuple[NDArray[np.intp], FloatArray]:
         """Return which own parameters are known beforehand to be near zero, and how well."""
         # The onset is near the detected contact, and trials are alike.
-        known = np.array([0, *range(self.q, self.q + self.scatter.size)], dtype=np.intp)
-        return known, np.append(1.0 / trial.onset_std, 1.0 / self.scatter)
+        known = [0, *range(self.q, self.q + self.scatter.size)]
+        weights = [1.0 / trial.onset_std, *(1.0 / self.scatter)]
+        if trial.has_force_zero:
+            known.append(self.q + self.scatter.size)
+            weights.append(1.0 / (_ZERO * trial.peak_force))
+        return np.array(known, dtype=np.intp), np.array(weights)
 
     def scatter_price(self, state: FloatArray) -> float:
         """
@@ -467,7 +492,8 @@ class Problem:
             return total
         for index in range(len(self.trials)):
             _, jacobian = self.reduced(state, index)
-            own = jacobian[:-k, self.p :]
+            known, _ = self._known(self.trials[index])
+            own = jacobian[: -known.size, self.p :]
             chosen = np.zeros(own.shape[1], dtype=np.bool_)
             chosen[self.q : self.q + k] = True
             basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)
@@ -657,6 +683,7 @@ def fit_prepared(
             raise UsageError(
                 f'the model has no parameter {name!r}: choose among {", ".join(model.names)}'
             )
+    limit = longest_memory(usable)
     if near is None:
         force_noise, height_noise = _first_noise(usable)
         problem, state = _search(usable, model, start, force_noise, height_noise)
@@ -671,10 +698,16 @@ def fit_prepared(
         jumps = problem.jumps(state)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and near is None
-        force_noise = estimate(forces, force_noise, usable[0].interval, everywhere=first)
+        force_noise = estimate(
+            forces, force_noise, usable[0].interval, everywhere=first, longest=limit[0]
+        )
         if heights:
             height_noise = estimate(
-                heights, height_noise, usable[0].height_interval, everywhere=first
+                heights,
+                height_noise,
+                usable[0].height_interval,
+                everywhere=first,
+                longest=limit[1],
             )
         problem.set_noise(force_noise, height_noise, jumps)
         solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
@@ -707,6 +740,57 @@ def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
             trials[0].height_interval,
         ),
     )
+
+
+def longest_memory(trials: Sequence[FitTrial]) -> tuple[float, float]:
+    """
+    Return the longest memory that the noise of force and height may have [s].
+
+    What a model lacks goes on for as long as a trial does and would pass for noise with such a
+    memory. Noise is taken to forget within a hundredth of the trial, unless the force without
+    contact, which no model is needed for, shows that it is slower.
+    """
+    record = max(float(trial.t[-1] - trial.t[0]) for trial in trials)
+    interval, height_interval = trials[0].interval, trials[0].height_interval
+    force = max(_MEMORY * record, _MEMORY_SAMPLES * interval)
+    height = max(_MEMORY * record, _MEMORY_SAMPLES * height_interval)
+    air = [
+        Record(blocks, rest, np.zeros((0, rest.size)), np.ones((1, rest.size)))
+        for trial in trials
+        for blocks, rest in _without_contact(trial)
+    ]
+    if sum(record_.residual.size for record_ in air) < _BASELINE:
+        return force, height
+    spread = math.sqrt(
+        float(np.sum([np.sum(r.residual**2 * r.blocks.count) for r in air]))
+        / float(np.sum([r.blocks.count.sum() for r in air]))
+    )
+    if spread == 0.0:
+        return force, height
+    brief = estimate(air, _even(spread, interval), interval, longest=force)
+    free = estimate(air, _even(spread, interval), interval)
+    if deviance(air, brief) - deviance(air, free) > _SEEN:
+        force = max(force, _SLOWER * free.correlation_time)
+    return force, height
+
+
+def _without_contact(trial: FitTrial) -> list[tuple[Blocks, FloatArray]]:
+    """Return the force before the touch and after the tool has left, less its mean."""
+    blocks = force_blocks(trial)
+    middle = 0.5 * (trial.t[1:] + trial.t[:-1])
+    clear = trial.displacement[1:] < -_CLEARANCE * trial.reference_depth
+    pieces = [middle < trial.t_contact - _EDGE * trial.interval]
+    if trial.t_release is not None:
+        pieces.append((middle > trial.t_release) & clear)
+    found = []
+    for piece in pieces:
+        chosen = piece & (blocks.count > 0.0)
+        if np.count_nonzero(chosen) < _FEW:
+            continue
+        count = blocks.count[chosen]
+        rest = trial.force[chosen] - float(trial.force[chosen] @ count) / float(count.sum())
+        found.append((Blocks(blocks.duration[chosen], count, np.zeros(count.size)), rest))
+    return found
 
 
 def _even(std: float, interval: float) -> SensorNoise:

@@ -46,6 +46,8 @@ _WINDOW_EVERY: Final = 8192
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
 _LEFT_SIGMAS: Final = 6.0
+_MORE_CORNERS: Final = 24
+"""Corners that a path gets where it leaves the samples, before it goes through all of them."""
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _AIR: Final = 0.2
@@ -170,6 +172,11 @@ class FitTrial:
     eventful: NDArray[np.bool_]
     samples: Samples
     path: ToolPath
+
+    @property
+    def peak_force(self) -> float:
+        """Return the largest mean force of a step [N]."""
+        return max(float(np.abs(self.force).max()), 1e-300)
 
     @property
     def set_aside(self) -> FloatArray:
@@ -578,6 +585,16 @@ def _followed(
     t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the path through the samples themselves wherever it would leave them."""
+    for _ in range(_MORE_CORNERS):
+        away = np.abs(value - np.interp(t, knots, levels))
+        far = int(np.argmax(away))
+        if away[far] <= _LEFT_SIGMAS * noise:
+            return knots, levels
+        more = np.unique(np.append(knots, t[far]))
+        again, new_levels = _levels(t, value, more)
+        if again.size == knots.size:
+            break
+        knots, levels = again, new_levels
     left = np.abs(value - np.interp(t, knots, levels)) > _LEFT_SIGMAS * noise
     if not left.any():
         return knots, levels
@@ -759,7 +776,9 @@ def _levels(t: FloatArray, value: FloatArray, knots: FloatArray) -> tuple[FloatA
     held = np.bincount(piece, minlength=knots.size - 1) >= 2
     if not held.all():
         kept = np.concatenate((held, [True]))
-        kept[0] = True
+        if not kept[0]:
+            # The path begins where it did; the corner after it goes.
+            kept[:2] = True, knots.size == 2
         return _levels(t, value, knots[kept])
     diagonal = np.bincount(piece, (1.0 - share) ** 2, knots.size)
     diagonal += np.bincount(piece + 1, share**2, knots.size)

@@ -575,9 +575,11 @@ def refit_without(
     whole = fit.problem
     problem = Problem(fit.model, [whole.trials[place] for place in kept], whole.scatter)
     state = np.concatenate([fit.theta, *(fit.state[whole.places[place]] for place in kept)])
-    problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
-    solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
-    return replace(Trained.of(fit, campaign), theta=solution.theta[: problem.p].copy())
+    for _ in range(2):
+        # Where the force jumps, and so what a sample weighs, is seen by the others alone.
+        problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
+        state = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE).theta
+    return replace(Trained.of(fit, campaign), theta=state[: problem.p].copy())
 
 
 type Refit = Callable[[Collection[int]], Sequence[Trained] | None]

@@ -36,6 +36,8 @@ type ResidualAndJacobian = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 _FIRST_RADIUS: Final = 1.0
 """First step in units of the scaled parameters' length (or of one)."""
+_STUCK: Final = 1e-9
+"""Step, over the parameters, below which a search that gains nothing has ended."""
 _ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
@@ -180,6 +182,9 @@ def minimise(
         free = np.flatnonzero(~held)
         left, singular, right = np.linalg.svd(jacobian[:, free] / scale[free], full_matrices=False)
         projected = left.T @ residual
+        # What the linear model promises without the trust region: a small promise within a small
+        # region is no sign of a minimum.
+        reachable = _step(singular, right, projected, math.inf)[1]
         accepted = False
         while not accepted:
             step, promised = _step(singular, right, projected, radius)
@@ -188,7 +193,12 @@ def minimise(
             trial = np.clip(theta + move, lower, upper)
             taken = float(np.linalg.norm(scale * (trial - theta)))
             size = max(float(np.linalg.norm(scale * theta)), 1e-300)
-            if promised <= tolerance * cost or taken <= max(step_tolerance, _ROUNDING) * size:
+            stuck = promised <= tolerance * cost and taken <= _STUCK * size
+            if (
+                reachable <= tolerance * cost
+                or stuck
+                or taken <= max(step_tolerance, _ROUNDING) * size
+            ):
                 converged = True
                 break
             if evaluations >= max_evaluations:

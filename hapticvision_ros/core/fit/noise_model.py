@@ -239,7 +239,12 @@ class Record:
 
 
 def estimate(
-    records: Sequence[Record], start: SensorNoise, interval: float, *, everywhere: bool = True
+    records: Sequence[Record],
+    start: SensorNoise,
+    interval: float,
+    *,
+    everywhere: bool = True,
+    longest: float = math.inf,
 ) -> SensorNoise:
     """
     Estimate the noise from the residuals of a fit, by the restricted likelihood.
@@ -257,6 +262,9 @@ def estimate(
         Usual interval between two samples [s].
     everywhere : bool
         Whether to look for all kinds of noise; otherwise the search stays near `start`.
+    longest : float
+        Longest correlation time that the sensor may have [s]: what a model lacks goes slowly, and
+        would pass for slow noise.
 
     Returns
     -------
@@ -264,7 +272,7 @@ def estimate(
         The most likely noise.
 
     """
-    longest = max(float(record.blocks.duration.sum()) for record in records)
+    longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
     def cost(point: FloatArray, given: Sequence[Record] = records) -> float:
@@ -281,7 +289,7 @@ def estimate(
         bare = [
             Record(r.blocks, r.residual, *(np.zeros((0, r.residual.size)),) * 2) for r in records
         ]
-        times = np.linspace(limits[0] + 1.0, limits[1] - 1.0, 6)
+        times = np.linspace(*limits, 6)
         grid = [np.array([share, time]) for share in (-3.0, 0.0, 4.0) for time in times]
         point = min((*grid, point), key=lambda at: cost(at, bare))
         size = 1.0
@@ -289,6 +297,11 @@ def estimate(
     relative = _split(point[0], math.exp(point[1]), start.std)
     _, level = _restricted(records, relative)
     return SensorNoise(level * relative.white, level * relative.slow, relative.correlation_time)
+
+
+def deviance(records: Sequence[Record], noise: SensorNoise) -> float:
+    """Return minus twice the restricted log likelihood of a noise of the best level."""
+    return _restricted(records, noise)[0]
 
 
 def _split(log_ratio: float, correlation_time: float, std: float) -> SensorNoise:
