@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Time of the forward model, for the base and for each effect: nanoseconds of CPU time a force sample.
+Time of the forward model, for the base and for each effect: ns of CPU time a force sample.
 
 One trial of 130 s at 1 kHz with its height at 30 Hz: approach, push, hold, release and recovery.
 The models take turns, so that a busy machine slows all alike; the best of the rounds counts. The
