@@ -54,6 +54,7 @@ import numpy as np
 
 LOAD_CELL_GAIN: Final = 'load_cell_gain'
 """Scales every stiffness and viscosity alike, so that no trial can show it."""
+LINE: Final = 'periodic_disturbance'
 _LINE: Final = 1e-4
 """Chance below which a line in the residual's spectrum is looked at with every sample."""
 _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
@@ -109,11 +110,12 @@ def diagnose(
     tell('fitting the three-element model')
     prepared, known = prepare(trials)
     before = fit_prepared(prepared, Model(), warnings=known)
-    if line_spectrum(before.problem, before.state).chance < _LINE:
+    line = line_spectrum(before.problem, before.state).chance < _LINE
+    if line:
         prepared, known = prepare(trials, windows=True)
         before = fit_prepared(prepared, Model(), near=before, warnings=known)
     phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
-    search = _Search(before, phases, workers, tell, limits)
+    search = _Search(before, phases, workers, tell, limits, line=line)
     outcome = search.run()
     after = before
     if outcome.effects:
@@ -167,9 +169,12 @@ class _Search:
         workers: int,
         tell: Callable[[str], None],
         limits: PushLimits | None,
+        *,
+        line: bool,
     ) -> None:
         self.before = before
         self.limits = limits
+        self.line = line
         self.phases = phases
         self.workers = workers
         self.tell = tell
@@ -235,6 +240,9 @@ class _Search:
         seen, hidden = list[str](), list[str]()
         tangent = Tangent(bench, base)
         for effect in EFFECTS:
+            if effect.name == LINE and not self.line:
+                # Without a line in the spectrum a sine would only follow slow noise.
+                continue
             shown = visible(bench, base, tangent, effect.name)
             (seen if shown else hidden).append(effect.name)
         return seen, hidden

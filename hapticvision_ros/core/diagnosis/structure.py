@@ -39,6 +39,8 @@ _HATS: Final = 5
 """Corners of the curve over a phase."""
 GATE: Final = 12.0
 """Gain in Schwarz's criterion from which on something is left."""
+_BESIDE: Final = 3
+"""Steps beside a jump of the force in which nothing is looked for."""
 _LOOKED_CLOSER: Final = 3
 """Curves whose noise is estimated anew."""
 
@@ -154,9 +156,17 @@ def _curves(bench: Workbench) -> Iterator[Curve]:
 
 
 def _calm(found: Refit) -> list[NDArray[np.bool_]]:
-    """Return, for each trial, in which steps the force does not jump within a sample."""
+    """Return, for each trial, in which steps the force does not jump within a few samples."""
     limit = found.force_noise.std**2
-    return [jumps <= limit for jumps in found.problem.jumps(found.state)]
+    calm = []
+    for jumps in found.problem.jumps(found.state):
+        sudden = jumps > limit
+        near = sudden.copy()
+        for k in range(1, _BESIDE + 1):
+            near[k:] |= sudden[:-k]
+            near[:-k] |= sudden[k:]
+        calm.append(~near)
+    return calm
 
 
 def _columns(

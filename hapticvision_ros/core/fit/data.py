@@ -50,6 +50,15 @@ _MORE_CORNERS: Final = 24
 """Corners that a path gets where it leaves the samples, before it goes through all of them."""
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
+_CORNER_SAMPLES: Final = 16
+"""Corners that are so many samples of the encoders apart may be one change of speed."""
+_EDGE_SAMPLES: Final = 6
+_ZOOMS: Final = 5
+_FOLLOWS: Final = 2.0
+"""Noise that samples may be away from a change of speed, root mean square."""
+_SHOWN: Final = 25.0
+"""Drop of the squares over the noise from which on a change of speed takes time."""
+_NO_WORSE: Final = 1.2
 _AIR: Final = 0.2
 """The tool's path is followed closely up to this share of the depth above the first touch."""
 _COARSE: Final = 0.1
@@ -95,16 +104,65 @@ class ToolPath:
         The corners [s, m].
     noise : float
         Standard deviation of a sample of the encoders about the path [m].
+    bends : tuple of Bend
+        Corners at which the tool changes its speed over a finite time.
 
     """
 
     t: FloatArray
     displacement: FloatArray
     noise: float
+    bends: tuple['Bend', ...] = ()
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
-        return np.interp(t, self.t, self.displacement)
+        result = np.interp(t, self.t, self.displacement)
+        for bend in self.bends:
+            first, last = np.searchsorted(t, (bend.start, bend.stop))
+            result[first:last] += bend.beyond(t[first:last])
+        return result
+
+    @property
+    def events(self) -> list[float]:
+        """Return when the tool's speed changes [s]."""
+        edges = [edge for bend in self.bends for edge in (bend.start, bend.stop)]
+        return [*self.t.tolist(), *edges]
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """
+    A corner that is passed with a constant acceleration.
+
+    Parameters
+    ----------
+    t : float
+        When the two straight pieces would meet [s].
+    duration : float
+        How long the acceleration lasts, half of it before `t` [s].
+    turn : float
+        Speed after less speed before [m/s].
+
+    """
+
+    t: float
+    duration: float
+    turn: float
+
+    @property
+    def start(self) -> float:
+        """Return when the acceleration begins [s]."""
+        return self.t - 0.5 * self.duration
+
+    @property
+    def stop(self) -> float:
+        """Return when it ends [s]."""
+        return self.t + 0.5 * self.duration
+
+    def beyond(self, t: FloatArray) -> FloatArray:
+        """Return by how much the path is beyond the straight pieces at times within [m]."""
+        away = np.maximum(0.5 * self.duration - np.abs(t - self.t), 0.0)
+        return 0.5 * self.turn / self.duration * away**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,8 +428,7 @@ def _prepare(
     )
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
     if path.t.size <= 4 * _MOST_PIECES:
-        inner = path.t[(path.t > touch) & (path.t < edges[-1])]
-        events += inner.tolist()
+        events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.at_full_rate()
 
@@ -547,6 +604,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     below = np.flatnonzero(value > top)
     first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
     inner_t, inner_value = t[first:last], value[first:last]
+    bends: tuple[Bend, ...] = ()
     if noise <= 1e-7 * float(np.ptp(inner_value)) or inner_t.size < 16:
         knots, levels = _thinned(inner_t, inner_value)
     else:
@@ -557,12 +615,15 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         knots, levels = _followed(inner_t, inner_value, knots, levels, noise)
         if knots.size > _MOST_PIECES:
             knots, levels = inner_t, inner_value
+        else:
+            knots, levels, bends = _bent(inner_t, inner_value, knots, levels, noise)
     before = _coarse(t[:first], value[:first], -top)
     after = _coarse(t[last:], value[last:], -top)
     return ToolPath(
         np.concatenate((before[0], knots, after[0])),
         np.concatenate((before[1], levels, after[1])),
         noise,
+        bends,
     )
 
 
@@ -579,6 +640,99 @@ def _coarse(t: FloatArray, value: FloatArray, scale: float) -> tuple[FloatArray,
             break
         corners = sorted([*corners, far])
     return t[corners], value[corners]
+
+
+def _bent(
+    t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
+) -> tuple[FloatArray, FloatArray, tuple[Bend, ...]]:
+    """
+    Return the path with corners in place of the short pieces over which the tool changes speed.
+
+    An arm takes some time to change its speed. Two straight pieces and an acceleration between
+    them take the place of the corners there if they follow the samples as well.
+    """
+    step = float(np.median(np.diff(t)))
+    groups: list[list[int]] = []
+    for k in range(1, knots.size - 1):
+        if groups and knots[k] - knots[groups[-1][-1]] <= _CORNER_SAMPLES * step:
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    new_knots, new_levels = [float(knots[0])], [float(levels[0])]
+    bends = []
+    for number, group in enumerate(groups):
+        left = float(knots[groups[number - 1][-1]]) if number else float(knots[0])
+        right = (
+            float(knots[groups[number + 1][0]]) if number + 1 < len(groups) else float(knots[-1])
+        )
+        start, stop = float(knots[group[0]]), float(knots[group[-1]])
+        found = _bend(t, value, (left, start, stop, right), step, noise)
+        if found is None:
+            new_knots += knots[group].tolist()
+            new_levels += levels[group].tolist()
+            continue
+        bend, level = found
+        new_knots.append(bend.t)
+        new_levels.append(level)
+        if bend.duration > 0.0:
+            bends.append(bend)
+    new_knots.append(float(knots[-1]))
+    new_levels.append(float(levels[-1]))
+    made, heights = np.array(new_knots), np.array(new_levels)
+    path = ToolPath(made, heights, noise, tuple(bends))
+    before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
+    after = float(np.sum((value - path.at(t)) ** 2))
+    # The pieces between are those of least squares by themselves: all must still follow.
+    if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
+        return knots, levels, ()
+    return made, heights, tuple(bends)
+
+
+def _bend(
+    t: FloatArray,
+    value: FloatArray,
+    around: tuple[float, float, float, float],
+    step: float,
+    noise: float,
+) -> tuple[Bend, float] | None:
+    """Return the acceleration between two straight pieces, and the level where these meet."""
+    left, start, stop, right = around
+    margin = max(stop - start, _EDGE_SAMPLES * step)
+    lines = []
+    for first, last in ((left, start - margin), (stop + margin, right)):
+        inside = (t >= first) & (t <= last)
+        if np.count_nonzero(inside) < _EDGE_SAMPLES:
+            return None
+        lines.append(_line(t[inside], value[inside], np.ones(np.count_nonzero(inside))))
+    (level, slope), (next_level, next_slope) = lines
+    turn = next_slope - slope
+    if turn == 0.0:
+        return None
+    meeting = (level - next_level) / turn
+    if not start - margin < meeting < stop + margin:
+        return None
+    chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
+    near_t = t[chosen]
+    miss = value[chosen] - np.where(
+        near_t < meeting, level + slope * near_t, next_level + next_slope * near_t
+    )
+
+    def squares(duration: float) -> float:
+        bend = Bend(meeting, max(duration, 1e-9), turn)
+        return float(np.sum((miss - bend.beyond(near_t)) ** 2))
+
+    low, high = 0.0, 4.0 * margin
+    best = 0.0
+    for _ in range(_ZOOMS):
+        tried = np.linspace(low, high, 17)
+        best = float(min(tried, key=squares))
+        width = (high - low) / 16.0
+        low, high = max(best - width, 0.0), best + width
+    if squares(best) > _FOLLOWS**2 * near_t.size * noise**2:
+        return None
+    scale = max(noise**2, squares(best) / near_t.size)
+    shown = squares(0.0) - squares(best) > _SHOWN * scale
+    return Bend(meeting, best if shown else 0.0, turn), level + slope * meeting
 
 
 def _followed(

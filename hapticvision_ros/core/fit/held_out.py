@@ -456,7 +456,7 @@ def _predict_one(
     bounds = (problem.bounds[0][p:], problem.bounds[1][p:])
     find_onsets(problem, state)
     turn_phases(problem, state)
-    for _ in range(2):
+    for _ in range(3):
         # Where the force jumps depends on the onset.
         problem.set_noise(noise.force, noise.height, problem.jumps(state))
         solution = minimise(evaluate, state[p:], bounds, tolerance=_TOLERANCE)
@@ -575,7 +575,7 @@ def refit_without(
     whole = fit.problem
     problem = Problem(fit.model, [whole.trials[place] for place in kept], whole.scatter)
     state = np.concatenate([fit.theta, *(fit.state[whole.places[place]] for place in kept)])
-    for _ in range(2):
+    for _ in range(3):
         # Where the force jumps, and so what a sample weighs, is seen by the others alone.
         problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
         state = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE).theta
