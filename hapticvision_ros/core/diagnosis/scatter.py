@@ -38,8 +38,7 @@ from hapticvision_ros.core.fit.campaign import carried, Problem
 from hapticvision_ros.core.fit.least_squares import covariance, minimise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import chdtri, fdtrc
 
 _WIDE: Final = 0.5
 """Scatter of the logarithms that is allowed when it is measured."""
@@ -157,7 +156,7 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     squares = np.maximum(squares, 0.0)
     pooled = float(squares.sum()) / (3 * degrees)
     variance = (_POOLED * pooled + squares) / (_POOLED + degrees)
-    enlarged = (_POOLED + degrees) / float(chi2.ppf(_CAUTION, _POOLED + degrees))
+    enlarged = (_POOLED + degrees) / float(chdtri(_POOLED + degrees, 1.0 - _CAUTION))
     std = np.sqrt(variance)
     if std.max() < LEAST:
         return Scatter(np.zeros(3), np.zeros(3), degrees)
@@ -209,6 +208,6 @@ def _without_trend(
     rest = common - slope * late
     explained = slope**2 * spread
     ratio = explained / max(float(rest @ rest) / free, 1e-300)
-    if float(f_distribution.sf(ratio, 1, free)) > _TREND:
+    if float(fdtrc(1, free, ratio)) > _TREND:
         return shifts
     return shifts - (slope * (times - times.mean()))[:, np.newaxis]

@@ -150,6 +150,9 @@ def _curves(bench: Workbench) -> Iterator[Curve]:
     sizes: list[Size] = ['alike', 'force', 'own'] if len(bench.trials) > 1 else ['alike']
     for channel in channels:
         for phase in _PHASES:
+            if channel == 'force' and phase == 'recover':
+                # The tool is away: what is there is the load cell's own slow noise.
+                continue
             for along in _ALONG:
                 for size in sizes:
                     yield Curve(channel, phase, along, size)

@@ -55,7 +55,6 @@ from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, gammaincinv
 
 _ROUNDS: Final = 4
 """Most rounds of noise and parameters."""
@@ -977,8 +976,10 @@ class Line:
 
 def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     """Return the strongest line in the residual force of all trials."""
+    from scipy.special import gammaincc, gammaincinv
+
     total = np.empty(0)
-    length = min(t.samples.force.size for t in problem.trials)
+    length = _quick_length(min(t.samples.force.size for t in problem.trials))
     for index, trial in enumerate(problem.trials):
         full = trial.at_full_rate()
         residual = full.force - problem.predict(state, index, full, directions=False).force
@@ -997,6 +998,19 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     mean = float(_background(total)[peak]) / gammaincinv(count, 0.5)
     chance = total.size * float(gammaincc(count, float(total[peak]) / max(mean, 1e-300)))
     return Line(amplitude, max(frequency, 1e-2), min(chance, 1.0))
+
+
+def _quick_length(longest: int) -> int:
+    """Return the largest length up to a given one that has no factor above five."""
+    best = 1
+    fives = 1
+    while fives <= longest:
+        threes = fives
+        while threes <= longest:
+            best = max(best, threes << ((longest // threes).bit_length() - 1))
+            threes *= 3
+        fives *= 5
+    return best
 
 
 def _background(power: FloatArray) -> FloatArray:

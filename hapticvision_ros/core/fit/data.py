@@ -53,6 +53,8 @@ _MOST_PIECES: Final = 96
 _CORNER_SAMPLES: Final = 16
 """Corners that are so many samples of the encoders apart may be one change of speed."""
 _EDGE_SAMPLES: Final = 6
+_MOVING: Final = 6.0
+"""Way between two samples of the encoders over their noise from which on the tool moves."""
 _ZOOMS: Final = 5
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
@@ -769,6 +771,10 @@ def _encoder_noise(value: FloatArray) -> float:
     curvature = np.abs(np.diff(value, 2))
     noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
     steps = np.abs(np.diff(value))
+    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
+    fast = (steps[1:] > _MOVING * noise) & (steps[:-1] > _MOVING * noise)
+    if noise > 0.0 and np.count_nonzero(fast) >= _FEWEST:
+        noise = max(noise, NORMAL_FROM_MAD * float(np.median(curvature[fast])) / math.sqrt(6.0))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
         resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size

@@ -33,8 +33,8 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
-from numba import njit
 import numpy as np
 
 _SUMMED: Final = 16
@@ -94,7 +94,7 @@ class Blocks:
     extra: FloatArray
 
 
-@njit(cache=True)
+@kernel()
 def _filter(  # type: ignore[no-untyped-def]
     duration, count, extra, white, slow, tau, seen, passed, gain, weight
 ):
@@ -154,15 +154,39 @@ def _filter(  # type: ignore[no-untyped-def]
     return log_determinant
 
 
-@njit(cache=True)
+@kernel()
 def _whiten(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
     """Fill the innovations of each row over their standard deviations."""
-    for j in range(rows.shape[0]):
-        state = 0.0
+    # Four rows at a time: each waits for its own last state, and none for another's.
+    count = rows.shape[0]
+    j = 0
+    while j + 4 <= count:
+        a = 0.0
+        b = 0.0
+        c = 0.0
+        d = 0.0
         for i in range(weight.size):
-            new = rows[j, i] - seen[i] * state
-            out[j, i] = new * weight[i]
-            state = passed[i] * state + gain[i] * new
+            carry = passed[i] - gain[i] * seen[i]
+            r0 = rows[j, i]
+            r1 = rows[j + 1, i]
+            r2 = rows[j + 2, i]
+            r3 = rows[j + 3, i]
+            out[j, i] = (r0 - seen[i] * a) * weight[i]
+            out[j + 1, i] = (r1 - seen[i] * b) * weight[i]
+            out[j + 2, i] = (r2 - seen[i] * c) * weight[i]
+            out[j + 3, i] = (r3 - seen[i] * d) * weight[i]
+            a = carry * a + gain[i] * r0
+            b = carry * b + gain[i] * r1
+            c = carry * c + gain[i] * r2
+            d = carry * d + gain[i] * r3
+        j += 4
+    while j < count:
+        a = 0.0
+        for i in range(weight.size):
+            r0 = rows[j, i]
+            out[j, i] = (r0 - seen[i] * a) * weight[i]
+            a = (passed[i] - gain[i] * seen[i]) * a + gain[i] * r0
+        j += 1
 
 
 @dataclass(frozen=True, slots=True)
