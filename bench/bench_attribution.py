@@ -14,7 +14,7 @@
 
 
 """
-Bench: does the closed loop name the effect that made the data?
+Bench: how often the closed loop names the effect that made the data.
 
 Campaigns come from the simulated world (`hapticvision_ros.sim.campaigns`), whose integrator is its
 own, and are diagnosed without a word of what acts in them. A case is a line of JSON in the file
@@ -126,7 +126,7 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
         'where': list(found.unexplained.where) if found.unexplained else [],
         'before': (found.before.theta[:3] - truth).tolist(),
         'after': (found.after.theta[:3] - truth).tolist(),
-        'warnings': [w for w in found.warnings],
+        'warnings': list(found.warnings),
         'trials': len(trials),
         'samples': found.before.samples,
         'seconds': round(time.perf_counter() - start, 2),
@@ -229,9 +229,14 @@ def summary(results: list[dict[str, Any]]) -> str:
     ]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for r in results:
-        kind = 'none' if not r['effects'] else (
-            'outside' if set(r['effects']) <= set(OUTSIDE) else
-            ('pair' if len(r['effects']) > 1 else 'one')
+        kind = (
+            'none'
+            if not r['effects']
+            else (
+                'outside'
+                if set(r['effects']) <= set(OUTSIDE)
+                else ('pair' if len(r['effects']) > 1 else 'one')
+            )
         )
         groups.setdefault((r['world'], r['scatter'], kind, r['r']), []).append(r)
         if kind in ('one', 'outside'):

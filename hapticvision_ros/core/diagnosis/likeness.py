@@ -90,9 +90,10 @@ class Tangent:
         for index, place in enumerate(problem.places):
             force, height = problem.records(base.state, index)
             rows = self._white(index, force[:-1], height[:-1])
+            shared, own = np.split(rows, [problem.p])
             block = np.zeros((rows.shape[1], problem.size))
-            block[:, : problem.p] = rows[: problem.p].T
-            block[:, place] = rows[problem.p :].T
+            block[:, : problem.p] = shared.T
+            block[:, place] = own.T
             blocks.append(block)
         prior, _ = problem.priors(base.state)
         self._priors = prior.shape[0]

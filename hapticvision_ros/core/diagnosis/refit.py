@@ -375,12 +375,12 @@ class Workbench:
                 whole = np.hstack((whole, other))
                 determinant += height_filter.log_determinant
             factor = np.linalg.qr(whole.T, mode='r')
-            block = np.zeros((factor.shape[0], problem.size + k))
-            block[:, problem.size :] = factor[:, :k]
-            block[:, : problem.p] = factor[:, k : k + problem.p]
-            block[:, problem.places[index]] = factor[:, k + problem.p : -1]
-            blocks.append(block)
-            targets.append(factor[:, -1])
+            mine, shared, own, target = np.split(factor, [k, k + problem.p, -1], axis=1)
+            block = np.zeros((factor.shape[0], problem.size))
+            block[:, : problem.p] = shared
+            block[:, problem.places[index]] = own
+            blocks.append(np.hstack((block, mine)))
+            targets.append(target[:, 0])
         prior, aim = problem.priors(state)
         blocks.append(np.hstack((prior, np.zeros((prior.shape[0], k)))))
         targets.append(aim)
@@ -407,7 +407,7 @@ class Workbench:
     ) -> list[tuple[FloatArray, FloatArray]]:
         """Return what a linear change leaves of the residuals."""
         left = []
-        curves = change[problem.size :]
+        curves = np.split(change, [problem.size])[1]
         for index, (force, height) in enumerate(rows):
             own = np.concatenate((change[: problem.p], change[problem.places[index]], [1.0]))
             left.append(

@@ -188,12 +188,13 @@ def _columns(
         t = 0.5 * (trial.t[1:] + trial.t[:-1]) if curve.channel == 'force' else trial.height_t
         rows = columns.force if curve.channel == 'force' else columns.height
         first = index * _HATS if curve.size == 'own' else 0
+        mine = slice(first, first + _HATS)
         size = float(np.abs(trial.force).max()) if curve.size == 'force' else 1.0
-        rows[first : first + _HATS] = size * _hats(trial, segmentation, curve, t)
+        rows[mine] = size * _hats(trial, segmentation, curve, t)
         if curve.channel == 'force':
             rows[:, ~calm[index]] = 0.0
-        if np.count_nonzero(rows[first : first + _HATS].any(axis=0)) < 2 * _HATS:
-            rows[first : first + _HATS] = 0.0
+        if np.count_nonzero(rows[mine].any(axis=0)) < 2 * _HATS:
+            rows[mine] = 0.0
         result.append(columns)
     return result
 
@@ -226,8 +227,9 @@ def _bounds(
         segmentation.t_loss,
     ]
     index = _PHASES.index(phase)
-    following = [time for time in times[index + 1 :] if time is not None]
-    return times[index], following[0] if following else end
+    start, *later = times[index:]
+    following = [time for time in later if time is not None]
+    return start, following[0] if following else end
 
 
 def _described(

@@ -370,8 +370,9 @@ class Problem:
         theta = state[: self.p]
         if self.scatter.size:
             first = self.places[index].start + self.q
+            last = first + self.scatter.size
             theta = theta.copy()
-            theta[: self.scatter.size] += state[first : first + self.scatter.size]
+            theta[: self.scatter.size] += state[first:last]
         return self.model.predict(
             self.trials[index] if trial is None else trial,
             theta,
@@ -442,7 +443,7 @@ class Problem:
         residual, jacobian = self.reduced(state, index)
         if not np.isfinite(residual).all():
             return np.array([math.inf]), np.zeros((1, jacobian.shape[1] - self.p))
-        return residual, jacobian[:, self.p :]
+        return residual, np.split(jacobian, [self.p], axis=1)[1]
 
     def reduced(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
         """
@@ -492,9 +493,9 @@ class Problem:
         for index in range(len(self.trials)):
             _, jacobian = self.reduced(state, index)
             known, _ = self._known(self.trials[index])
-            own = jacobian[: -known.size, self.p :]
-            chosen = np.zeros(own.shape[1], dtype=np.bool_)
-            chosen[self.q : self.q + k] = True
+            own = np.split(jacobian, [self.p], axis=1)[1][: -known.size]
+            columns = np.arange(own.shape[1])
+            chosen = (columns >= self.q) & (columns < self.q + k)
             basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)
             basis = basis[:, singular > 1e-12 * singular[0]]
             rest = own[:, chosen] - basis @ (basis.T @ own[:, chosen])
