@@ -1,0 +1,357 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Models refitted to one campaign: strengths, likelihoods and smooth curves."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+from typing import Any
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
+from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, strength
+from hapticvision_ros.core.diagnosis.structure import GATE, look
+from hapticvision_ros.core.effects import EFFECTS
+from hapticvision_ros.core.fit.campaign import Problem
+from hapticvision_ros.core.fit.least_squares import covariance
+from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+EVALUATIONS = 0.1
+"""A search ends where the squares no longer change by this much."""
+ONE_IN_A_MILLION = 1e-6
+
+type Bench = tuple[Workbench, Refit]
+
+
+@pytest.fixture(scope='module')
+def quiet(noise_only: Any) -> Bench:
+    """Return a campaign without an effect, on a bench."""
+    return noise_only.bench()
+
+
+@pytest.fixture(scope='module')
+def lacking(yielding: Any) -> Bench:
+    """Return a campaign that yields, on a bench, with a model that does not."""
+    return yielding.bench()
+
+
+@pytest.fixture(scope='module')
+def found(lacking: Bench) -> Refit:
+    """Return the model that lacks nothing."""
+    bench, base = lacking
+    refit = bench.refit(Model(('yield_force',)), base)
+    assert refit is not None
+    return refit
+
+
+def error(refit: Refit, place: int) -> float:
+    """Return the standard error of a parameter as the search sees it."""
+    _, jacobian = refit.problem.evaluate(refit.state)
+    return math.sqrt(float(covariance(jacobian)[place, place]))
+
+
+def test_a_refit_recovers_the_effect_and_the_body(found: Refit, world: Any) -> None:
+    K1, C1, C2, yield_force = found.model.values(found.theta)
+    assert abs(yield_force - 0.37) < 5.0 * error(found, 3)
+    # By far less than the tenths by which the model without it is wrong.
+    body = world.body
+    assert pytest.approx([body.K1, body.C1, body.C2], rel=0.01) == [K1, C1, C2]
+
+
+def test_the_deviance_falls_to_that_of_the_truth(lacking: Bench, found: Refit) -> None:
+    # Four parameters and twelve of the trials: twice the log likelihood of the truth is less by
+    # chi squared of so many degrees, whatever the effect.
+    _, base = lacking
+    state = found.state.copy()
+    state[: found.problem.p] = found.model.theta([1000.0, 900.0, 1600.0, 0.37])
+    residual, _ = found.problem.evaluate(state)
+    fallen = float(residual @ residual) - found.cost
+    assert -EVALUATIONS < fallen < chi2.isf(ONE_IN_A_MILLION, found.problem.size)
+    assert base.deviance - found.deviance > 200.0
+
+
+def test_a_weak_effect_lowers_the_deviance_by_the_square_of_its_strength_over_its_error(
+    world: Any,
+) -> None:
+    drift = 0.004
+    bench, base = world.measure(
+        world.campaign(), Undeclared('force_drift', (drift,)), seed=4
+    ).bench()
+    refit = bench.refit(Model(('force_drift',)), base)
+    assert refit is not None
+    sigmas = refit.theta[3] / error(refit, 3)
+    assert abs(refit.theta[3] - drift) < 5.0 * error(refit, 3)
+    assert sigmas > 5.0
+    # The model without the drift takes part of it for noise, which costs it less.
+    ratio = (base.deviance - refit.deviance) / sigmas**2
+    assert 0.6 < ratio < 1.05
+
+
+def test_effects_that_are_absent_gain_what_chance_gives(quiet: Bench) -> None:
+    bench, base = quiet
+    for name in ('yield_force', 'force_drift', 'clock_offset', 'friction'):
+        refit = bench.refit(Model((name,)), base)
+        assert refit is not None
+        gain = base.deviance - refit.deviance
+        assert gain < chi2.isf(1e-4, 1)
+        assert gain < price(bench, name)
+        assert abs(refit.theta[3]) < 5.0 * error(refit, 3)
+
+
+@pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)
+def test_a_further_effect_never_fits_worse(lacking: Bench, effect: Any) -> None:
+    bench, base = lacking
+    refit = bench.refit(Model((effect.name,)), base)
+    assert refit is not None
+    # Each model has its own noise, which a search finds to a tenth.
+    assert refit.deviance < base.deviance + 1.0
+
+
+def test_what_one_step_promises_is_what_the_refit_holds(lacking: Bench, found: Refit) -> None:
+    bench, base = lacking
+    for name, gain in (('yield_force', base.deviance - found.deviance), ('force_drift', 0.0)):
+        promised = bench.promise(Model((name,)), base)
+        # At the noise of the base model, in which part of the effect passes for noise.
+        assert 0.3 * gain < promised
+        assert promised < 2.0 * gain + 20.0
+
+
+def test_what_later_effects_have_made_superfluous_is_taken_out(
+    lacking: Bench, found: Refit
+) -> None:
+    bench, base = lacking
+    both = bench.refit(Model(('friction', 'yield_force')), found)
+    assert both is not None
+    rounds = tuple(Round(base, (), (name,)) for name in ('friction', 'yield_force'))
+    chosen, order = eliminate(bench, both, rounds)
+    assert order == ('yield_force',)
+    assert chosen.model.effects == ('yield_force',)
+    assert chosen.deviance == pytest.approx(found.deviance, abs=1.0)
+
+
+def test_each_parameter_costs_the_logarithm_of_the_samples(lacking: Bench) -> None:
+    bench, _ = lacking
+    samples = sum(t.force_count.astype(bool).sum() + t.height_t.size for t in bench.trials)
+    assert price(bench, 'yield_force') == pytest.approx(math.log(samples))
+    assert price(bench, 'second_retardation') == pytest.approx(2.0 * math.log(samples))
+    # Amplitude and frequency, and a phase in each trial.
+    assert price(bench, 'periodic_disturbance') == pytest.approx(6.0 * math.log(samples))
+
+
+def test_strength_is_the_change_of_the_prediction_over_the_noise(
+    lacking: Bench, found: Refit
+) -> None:
+    bench, base = lacking
+    squares, samples = 0.0, 0.0
+    for index, trial in enumerate(bench.trials):
+        ours, theirs = (bench.residual(each.problem, each.state, index) for each in (found, base))
+        squares += float(trial.force_count @ (ours[0] - theirs[0]) ** 2) / base.force_noise.std**2
+        squares += (
+            float(trial.height_count @ (ours[1] - theirs[1]) ** 2) / base.height_noise.std**2
+        )
+        samples += float(trial.force_count.sum() + trial.height_count.sum())
+    assert strength(bench, found, base) == pytest.approx(math.sqrt(squares / samples), rel=1e-9)
+
+
+def waves(bench: Workbench, frequency: float) -> list[Columns]:
+    """Return a sine and a cosine in the force of each trial."""
+    made = []
+    for trial in bench.trials:
+        angle = 2.0 * np.pi * frequency * 0.5 * (trial.t[1:] + trial.t[:-1])
+        inside = (angle > 0.0) & (trial.displacement[1:] > 0.0)
+        force = np.stack((np.sin(angle), np.cos(angle))) * inside
+        made.append(Columns(force, np.zeros((2, trial.height_t.size))))
+    return made
+
+
+def test_curves_gain_from_noise_as_many_as_they_are(quiet: Bench) -> None:
+    bench, base = quiet
+    gains = [bench.smooth(base, waves(bench, f), again=False) for f in np.arange(1.0, 4.0, 0.1)]
+    assert all(each.count == 2 for each in gains)
+    total = sum(each.gain for each in gains)
+    # Chi squared of sixty degrees, if the waves are independent; five of its deviations.
+    assert total == pytest.approx(60.0, abs=5.0 * math.sqrt(120.0))
+
+
+def test_no_curve_stands_out_of_noise(quiet: Bench, noise_only: Any) -> None:
+    bench, base = quiet
+    assert all(each.gain < GATE for each in look(bench, base, noise_only.phases))
+
+
+def bumped(bench: Workbench, base: Refit, change: Callable[..., Any]) -> tuple[Workbench, Refit]:
+    """Return a bench whose trials have been changed, with the same model on it."""
+    other = Workbench([change(k, trial) for k, trial in enumerate(bench.trials)], None)
+    problem = Problem(base.model, other.trials)
+    problem.set_noise(base.force_noise, base.height_noise, base.jumps)
+    residual, _ = problem.evaluate(base.state)
+    cost = float(residual @ residual)
+    return other, replace(
+        base, problem=problem, cost=cost, deviance=cost + problem.log_determinant
+    )
+
+
+@pytest.mark.parametrize(('channel', 'phase'), [('force', 'hold'), ('height', 'recover')])
+def test_a_bump_is_found_where_it_is(
+    quiet: Bench, noise_only: Any, channel: str, phase: str
+) -> None:
+    bench, base = quiet
+    size = {'force': base.force_noise.std, 'height': base.height_noise.std}[channel]
+    bumps = []
+
+    def change(index: int, trial: Any) -> Any:
+        phases = noise_only.phases[index]
+        start, stop = (
+            (phases.t_hold, phases.t_release) if phase == 'hold' else (phases.t_loss, phases.t_end)
+        )
+        t = 0.5 * (trial.t[1:] + trial.t[:-1]) if channel == 'force' else trial.height_t
+        along = (t - start) / (stop - start)
+        bump = 2.0 * size * np.where((along > 0.0) & (along < 1.0), np.sin(np.pi * along), 0.0)
+        bumps.append(bump)
+        return replace(trial, **{channel: getattr(trial, channel) + bump})
+
+    other, same = bumped(bench, base, change)
+    seen = look(other, same, noise_only.phases)
+    assert (seen[0].curve.channel, seen[0].curve.phase) == (channel, phase)
+    assert seen[0].gain > 5.0 * GATE
+    # Between the mean of a sine and its peak; the parameters may take a part of it.
+    assert 0.3 * 2.0 * size < seen[0].rms < 2.0 * size
+    assert 0.0 < seen[0].share <= 1.0
+
+
+def test_a_curve_is_given_back_as_it_was_put_in(quiet: Bench) -> None:
+    bench, base = quiet
+    columns = waves(bench, 2.0)
+    height = 3.0 * base.force_noise.std
+
+    def change(index: int, trial: Any) -> Any:
+        return replace(trial, force=trial.force + height * columns[index].force[0])
+
+    other, same = bumped(bench, base, change)
+    before = bench.smooth(base, columns, again=False)
+    after = other.smooth(same, columns, again=False)
+    assert after.gain > before.gain + 100.0
+    for index, trial in enumerate(bench.trials):
+        taken = after.force[index] - before.force[index]
+        # Least squares are linear: what was added comes out, beside what was there.
+        added = height * columns[index].force[0]
+        # Directions that the data hardly tell are left out of the solution.
+        assert np.abs(taken - added)[trial.force_count > 0].max() < 1e-3 * height
+
+
+def dense(duration: Any, noise: SensorNoise) -> Any:
+    """Return the covariance of samples, each of which fills its step."""
+    t = np.cumsum(duration)
+    away = np.abs(t[:, None] - t[None, :])
+    return noise.slow**2 * np.exp(-away / noise.correlation_time) + noise.white**2 * np.eye(t.size)
+
+
+def scattered(bench: Workbench, base: Refit) -> tuple[Problem, Any]:
+    """Return two short trials at their full rate, whose K1, C1 and C2 scatter."""
+    trials = [replace(trial.at_full_rate(), height_t=np.empty(0)) for trial in bench.trials[2:]]
+    cut = []
+    for trial in trials:
+        first = int(np.searchsorted(trial.t, trial.t_contact)) - 50
+        kept, edges = slice(first, first + 200), slice(first, first + 201)
+        samples = replace(
+            trial.samples,
+            edges=trial.t[edges],
+            force=trial.force[kept],
+            good=trial.samples.good[kept],
+        )
+        cut.append(
+            replace(
+                trial,
+                t=trial.t[edges],
+                displacement=trial.displacement[edges],
+                force=trial.force[kept],
+                force_count=np.ones(200),
+                height=np.empty(0),
+                height_count=np.empty(0),
+                has_height_zero=False,
+                samples=samples,
+            )
+        )
+    problem = Problem(base.model, cut, np.array([0.02, 0.03, 0.05]))
+    problem.set_noise(base.force_noise, base.height_noise)
+    state = np.zeros(problem.size)
+    state[:3] = base.theta
+    return problem, state
+
+
+def test_the_price_of_scatter_is_a_ratio_of_determinants(quiet: Bench) -> None:
+    # The force of a trial is normal, with the scatter's part in its covariance or without it.
+    bench, base = quiet
+    problem, state = scattered(bench, base)
+    expected = 0.0
+    for index, trial in enumerate(problem.trials):
+        force, _ = problem.records(state, index)
+        body, others = force[:3].T, force[[3, -2]].T
+        # What else is the trial's own, its onset and its zero, may be anything.
+        flat = others / np.sqrt(np.sum(others**2, axis=0))
+        without = dense(np.diff(trial.t), base.force_noise)
+        without = without + 1e6 * base.force_noise.std**2 * flat @ flat.T
+        within = without + body @ np.diag(problem.scatter**2) @ body.T
+        expected += float(np.linalg.slogdet(within)[1] - np.linalg.slogdet(without)[1])
+    # The flat part is a million times the noise.
+    assert problem.scatter_price(state) == pytest.approx(expected, rel=1e-3)
+    assert expected > 1.0
+
+
+def test_without_scatter_there_is_no_price(quiet: Bench) -> None:
+    _, base = quiet
+    assert base.problem.scatter_price(base.state) == 0.0
+
+
+def test_slopes_with_scatter_are_those_of_differences(quiet: Bench) -> None:
+    bench, base = quiet
+    problem = Problem(base.model, bench.trials, np.array([0.02, 0.03, 0.05]))
+    problem.set_noise(base.force_noise, base.height_noise, base.jumps)
+    state = np.zeros(problem.size)
+    state[:3] = base.theta + 0.02
+    state[3:] = 1e-5 * np.arange(problem.size - 3)
+
+    def squares(at: Any) -> float:
+        residual, _ = problem.evaluate(at)
+        return float(residual @ residual)
+
+    residual, jacobian = problem.evaluate(state)
+    slope = 2.0 * residual @ jacobian
+    for place, name in enumerate(problem.names):
+        # The force jumps at the touch: half a micrometre on, it is in another sample.
+        step = 1e-8 if name.startswith('onset') else 1e-5
+        away = np.zeros(problem.size)
+        away[place] = step
+        numeric = (squares(state + away) - squares(state - away)) / (2.0 * step)
+        # Central differences of squares of thousands, to their rounding.
+        assert slope[place] == pytest.approx(numeric, rel=2e-3, abs=1e-2), name
+
+
+def test_scatter_moves_a_trial_as_the_shared_parameters_would(quiet: Bench) -> None:
+    bench, base = quiet
+    problem = Problem(base.model, bench.trials, np.full(3, 0.02))
+    moved, shared = np.zeros(problem.size), np.zeros(problem.size)
+    moved[:3], shared[:3] = base.theta, base.theta + 0.01
+    first = problem.places[1].start + problem.q
+    moved[first : first + 3] = 0.01
+    one = problem.predict(moved, 1, directions=False)
+    other = problem.predict(shared, 1, directions=False)
+    np.testing.assert_allclose(one.force, other.force, rtol=1e-12, atol=1e-12)
+    same = problem.predict(moved, 0, directions=False)
+    assert not np.allclose(same.force, problem.predict(shared, 0, directions=False).force)

@@ -1,0 +1,179 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""The closed loop on data whose effect nobody has declared."""
+
+from dataclasses import replace
+import math
+from typing import Any
+
+from hapticvision_ros.core.diagnosis.records import Diagnosis
+from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
+from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
+import pytest
+
+YIELD = Undeclared('yield_force', (0.37,))
+STIFFENING = Undeclared('strain_stiffening', (15_000.0,))
+LATE = Undeclared('clock_offset', (0.026,))
+PORES = Undeclared('poroelasticity', (332.0, 0.79))
+ACTING = pytest.mark.parametrize(
+    ('effect', 'seed'),
+    [(YIELD, 2), (STIFFENING, 3), (LATE, 5)],
+    ids=lambda x: getattr(x, 'name', ''),
+)
+NOISES = 5.0
+"""An estimate is off by more standard errors once in a million."""
+
+
+@ACTING
+def test_an_undeclared_effect_is_named(case: Any, effect: Undeclared, seed: int) -> None:
+    found = case(effect, seed).found
+    assert found.status == 'explained'
+    assert found.effects == (effect.name,)
+    assert [effect.name in alike for alike in found.sets] == [True]
+    assert found.unexplained is None
+
+
+@ACTING
+def test_its_strength_is_found_within_its_error(case: Any, effect: Undeclared, seed: int) -> None:
+    found = case(effect, seed).found
+    (symbol,) = found.after.model.names[3:]
+    estimate = found.after.parameters[symbol]
+    assert abs(estimate.value - effect.values[0]) < NOISES * estimate.std
+    # Told from none at all, and to better than a tenth.
+    assert estimate.std < 0.1 * abs(effect.values[0])
+
+
+@pytest.mark.parametrize(('effect', 'seed'), [(YIELD, 2), (STIFFENING, 3)], ids=['yield', 'stiff'])
+def test_the_effect_had_bent_the_base_parameters(case: Any, effect: Undeclared, seed: int) -> None:
+    made = case(effect, seed)
+    before, after = made.errors('before').max(), made.errors('after').max()
+    assert before > 0.05
+    # Their own errors are some tenths of a percent.
+    assert after < 0.01
+
+
+@ACTING
+def test_squares_on_an_unseen_trial_fall_to_the_noise(
+    case: Any, effect: Undeclared, seed: int
+) -> None:
+    made = case(effect, seed)
+    noise = made.found.after.noise
+    squares = []
+    for fit in (made.found.before, made.found.after):
+        unseen = predict_unseen(Trained.of(fit, made.measured.pairs), made.unseen, noise)
+        squares.append(unseen.squares[0])
+    (trial,), _ = prepare(made.unseen)
+    assert trial is not None
+    expected = float(np.count_nonzero(trial.force_count) + trial.height_t.size)
+    # Chi squared: its standard deviation, and one in a hundred for the level of the noise.
+    deviation = math.sqrt(2.0 * expected) + 0.02 * expected
+    assert abs(squares[1] - expected) < 4.0 * deviation
+    assert squares[0] > squares[1] + 4.0 * math.sqrt(2.0 * expected)
+
+
+@ACTING
+def test_each_left_out_push_is_predicted_better(case: Any, effect: Undeclared, seed: int) -> None:
+    ranking = case(effect, seed).found.ranking
+    assert ranking[0].effect == effect.name
+    assert ranking[0].held_out_ratio < 0.95
+    others = [each.held_out_ratio for each in ranking[1:] if each.held_out_ratio is not None]
+    assert all(ratio > ranking[0].held_out_ratio for ratio in others)
+
+
+def test_a_campaign_that_the_base_explains_says_none(case: Any) -> None:
+    found = case(None, 1).found
+    assert (found.status, found.effects, found.sets) == ('none', (), ())
+    assert found.unexplained is None
+    assert found.after is found.before
+    assert found.look_alikes == ()
+    assert not any('scatter' in warning for warning in found.warnings)
+
+
+def test_what_no_trial_can_show_is_listed(case: Any) -> None:
+    for effect, seed in ((YIELD, 2), (LATE, 5), (None, 1)):
+        assert 'load_cell_gain' in case(effect, seed).found.not_testable
+
+
+def test_scatter_between_repeats_is_a_nuisance_and_no_effect(case: Any, world: Any) -> None:
+    made = case(None, 1, world.repeated, 0.03)
+    found = made.found
+    assert found.status == 'none'
+    (warning,) = [each for each in found.warnings if 'repeats of the same push scatter' in each]
+    assert '4 differences between repeats' in warning
+    sizes = [0.01 * float(part.split()[-2]) for part in warning.split(' in ')[:3]]
+    logs = np.log([[b.K1, b.C1, b.C2] for b in made.measured.truth.bodies[:-1]])
+    away = np.concatenate([logs[k::2] - logs[k::2].mean(axis=0) for k in range(2)])
+    happened = np.sqrt(np.sum(away**2) / (3 * 4))
+    # What has happened is known but for the noise of single trials, half a percent each.
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(happened, rel=0.25)
+
+
+def test_scatter_without_repeats_is_not_told_from_an_effect(case: Any) -> None:
+    found = case(None, 2, ((0.004, 0.006), (0.012, 0.006), (0.007, 0.003)), 0.03).found
+    assert any('cannot be told from an effect' in warning for warning in found.warnings)
+
+
+def test_an_effect_of_no_library_is_not_taken_for_a_certain_one(case: Any) -> None:
+    found = case(PORES, 6).found
+    assert found.status != 'none'
+    assert found.status != 'explained' or found.look_alikes
+
+
+def same(one: Diagnosis, other: Diagnosis) -> None:
+    """Assert that two diagnoses say the same."""
+    assert (one.status, one.effects, one.sets) == (other.status, other.effects, other.sets)
+    assert set(one.not_testable) == set(other.not_testable)
+    std = np.sqrt(np.diag(one.after.covariance))
+    # Searches end where the squares change by less than a tenth: well within the errors.
+    np.testing.assert_array_less(np.abs(one.after.theta - other.after.theta), 0.2 * std)
+    assert one.ranking[0].effect == other.ranking[0].effect
+    assert one.ranking[0].score == pytest.approx(other.ranking[0].score, abs=1.0)
+
+
+@pytest.fixture(scope='module')
+def few(world: Any) -> Any:
+    """Return three trials on a body that yields, and their diagnosis."""
+    campaign = world.campaign(world.four[:3], hold=3.0, recover=2.0, rate=100.0)
+    measured = world.measure(campaign, YIELD, seed=8)
+    found = diagnose(measured.pairs)
+    assert found.effects == ('yield_force',)
+    return measured.pairs, found
+
+
+def test_the_order_in_which_trials_are_given_does_not_matter(few: Any) -> None:
+    pairs, found = few
+    same(found, diagnose([pairs[k] for k in (2, 0, 1)]))
+
+
+def test_neither_does_the_epoch_at_which_the_campaign_begins(few: Any) -> None:
+    pairs, found = few
+    shift = -1_000_000_000 * 10**9
+    same(
+        found,
+        diagnose([(replace(t, start_ns=t.start_ns + shift), phases) for t, phases in pairs]),
+    )
+
+
+@pytest.mark.parametrize('names', ['zyx', 'aaa'], ids=['others', 'all_alike'])
+def test_neither_do_the_names_of_the_trials(few: Any, names: str) -> None:
+    pairs, found = few
+    same(
+        found,
+        diagnose([(replace(t, name=name), p) for name, (t, p) in zip(names, pairs, strict=True)]),
+    )
