@@ -28,7 +28,7 @@ import re
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PAGES: Final = ('README.md', 'doc/notebook.md')
+PAGES: Final = ('README.md', 'doc/notebook.md', 'doc/diagnosis.md')
 
 _EXAMPLE: Final = re.compile(r'(```python\n)(.*?)(```\n\n```\n)(.*?)(```\n)', re.DOTALL)
 

@@ -349,7 +349,7 @@ def test_scatter_moves_a_trial_as_the_shared_parameters_would(quiet: Bench) -> N
     moved, shared = np.zeros(problem.size), np.zeros(problem.size)
     moved[:3], shared[:3] = base.theta, base.theta + 0.01
     first = problem.places[1].start + problem.q
-    moved[first : first + 3] = 0.01
+    moved[[first, first + 1, first + 2]] = 0.01
     one = problem.predict(moved, 1, directions=False)
     other = problem.predict(shared, 1, directions=False)
     np.testing.assert_allclose(one.force, other.force, rtol=1e-12, atol=1e-12)

@@ -1,0 +1,93 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""The push to make next."""
+
+import math
+from typing import Any
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.sim.specimen import Undeclared
+import pytest
+
+FIRST, SECOND = 'yield_force', 'shear_thinning'
+YIELD = Undeclared(FIRST, (0.12,))
+SHORT = ((0.004, 0.006), (0.006, 0.005))
+LIMITS = PushLimits(slowest=0.002, fastest=0.010, deepest=0.007, longest_hold=8.0)
+
+
+def rivals(measured: Any) -> tuple[Workbench, Refit, Refit]:
+    """Return a campaign with the two models that are to be told apart."""
+    bench, base = measured.bench()
+    first, second = (bench.refit(Model((name,)), base) for name in (FIRST, SECOND))
+    assert first is not None
+    assert second is not None
+    return bench, first, second
+
+
+@pytest.fixture(scope='module')
+def short(world: Any) -> Any:
+    """Return a short campaign that hardly tells yield from thinning."""
+    return world.measure(world.campaign(SHORT, hold=2.0, recover=2.0), YIELD, seed=3)
+
+
+def test_limits_are_near_what_has_been_done(short: Any) -> None:
+    limits = PushLimits.like(short.phases)
+    assert limits.slowest == pytest.approx(0.004 / 3.0, rel=0.02)
+    assert limits.fastest == pytest.approx(3.0 * 0.006, rel=0.02)
+    assert limits.deepest == pytest.approx(0.006, rel=0.02)
+    assert limits.longest_hold == pytest.approx(6.0, rel=0.05)
+
+
+@pytest.mark.parametrize('rival', [True, False], ids=['separates', 'sharpens'])
+def test_the_push_stays_within_what_the_cell_can_do(short: Any, rival: bool) -> None:
+    bench, first, second = rivals(short)
+    push = suggest(bench, first, second if rival else None, short.phases, LIMITS)
+    assert push is not None
+    slack = 1.0 + 1e-9
+    assert LIMITS.slowest / slack <= push.push_speed <= LIMITS.fastest * slack
+    assert 0.0 < push.depth <= LIMITS.deepest * slack
+    assert 0.0 < push.hold_time <= LIMITS.longest_hold * slack
+    if rival:
+        assert push.separates == (FIRST, SECOND)
+        assert push.gain > 0.0
+    else:
+        assert push.separates[0] in first.model.names
+        assert push.gain > 1.0
+
+
+def lead(world: Any, hold: float, extra: tuple[float, float]) -> float:
+    """Return by how much the truth leads its rival with one more push."""
+    made = world.campaign(SHORT, hold=2.0, recover=2.0)
+    longer = world.campaign((extra,), hold=hold, recover=2.0).pushes
+    whole = type(made)(made.body, (*made.pushes, *longer), made.sensors, surface_scatter=1e-5)
+    _, first, second = rivals(world.measure(whole, YIELD, seed=3))
+    return second.deviance - first.deviance
+
+
+def test_the_push_tells_two_candidates_apart_better_than_a_repeat(world: Any, short: Any) -> None:
+    bench, first, second = rivals(short)
+    push = suggest(bench, first, second, short.phases, LIMITS)
+    assert push is not None
+    suggested = lead(world, push.hold_time, (push.push_speed, push.depth))
+    repeat = max(lead(world, 2.0, one) for one in SHORT)
+    # A deviance has chance of its own: twice its root is about one in a hundred.
+    assert suggested > repeat + 10.0
+    # In standard deviations, what came of it is of the size that was expected: the parameters of
+    # the rival move further than straight slopes say, and its noise takes a part.
+    gained = suggested - (second.deviance - first.deviance)
+    assert 0.4 < math.sqrt(gained) / push.gain < 1.3

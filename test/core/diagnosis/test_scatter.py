@@ -1,0 +1,135 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""How trials differ among themselves, from repeats of the same push."""
+
+from typing import Any
+
+from hapticvision_ros.core.diagnosis.scatter import conditions, LEAST, measure
+from hapticvision_ros.core.records import Segmentation
+from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
+import pytest
+
+PUSHES = ((0.004, 0.006), (0.012, 0.004)) * 4
+"""Two pushes, four times each."""
+
+
+def pooled(values: Any) -> float:
+    """Return the standard deviation of three elements between repeats of the two pushes."""
+    away = np.concatenate([values[k::2] - values[k::2].mean(axis=0) for k in range(2)])
+    return float(np.sqrt(np.sum(away**2) / (3 * (len(values) - 2))))
+
+
+def logarithms(measured: Any) -> Any:
+    """Return the logarithms of K1, C1 and C2 of each trial, shape (trials, 3)."""
+    return np.log([[body.K1, body.C1, body.C2] for body in measured.truth.bodies])
+
+
+def repeated(world: Any, *effects: Undeclared, scatter: float, seed: int) -> Any:
+    """Return eight trials."""
+    campaign = world.campaign(PUSHES, hold=3.0, recover=2.0, rate=100.0, scatter=scatter)
+    return world.measure(campaign, *effects, seed=seed)
+
+
+def phases(speed: float | None, depth: float | None, hold: float | None) -> Segmentation:
+    """Return what a push looks like."""
+    return Segmentation(
+        t_contact=1.0,
+        t_hold=3.0,
+        t_release=None if hold is None else 3.0 + hold,
+        t_loss=None,
+        t_end=30.0,
+        contact_height=0.04,
+        force_zero=0.0,
+        push_speed=speed,
+        depth=depth,
+    )
+
+
+def test_repeats_are_pushes_of_the_same_speed_depth_and_hold() -> None:
+    trials = [
+        phases(0.004, 0.006, 10.0),
+        phases(0.008, 0.006, 10.0),
+        phases(0.00404, 0.00598, 10.1),
+        phases(0.004, 0.003, 10.0),
+        phases(0.004, 0.006, 20.0),
+        phases(0.008, 0.006, 10.0),
+    ]
+    assert conditions(trials) == [[0, 2], [1, 5], [3], [4]]
+
+
+def test_a_push_without_a_release_repeats_only_one_without() -> None:
+    trials = [phases(0.004, 0.006, 10.0), phases(0.004, 0.006, None), phases(0.004, 0.006, None)]
+    assert conditions(trials) == [[0], [1, 2]]
+    assert conditions([phases(None, None, None), phases(None, None, None)]) == [[0, 1]]
+    assert conditions([]) == []
+
+
+def test_without_repeats_no_scatter_is_measured(noise_only: Any) -> None:
+    _, base = noise_only.bench()
+    assert measure(base, conditions(noise_only.phases)) is None
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_scatter_is_measured_as_large_as_it_happened(world: Any, seed: int) -> None:
+    measured = repeated(world, scatter=0.03, seed=seed)
+    _, base = measured.bench()
+    scatter = measure(base, conditions(measured.phases))
+    assert scatter is not None
+    assert scatter.degrees == 6
+    size = float(np.sqrt(np.mean(scatter.std**2)))
+    # What a trial alone tells of each element is some tenths of a percent: in squares little
+    # beside the three percent that happened, which is taken from the bodies themselves.
+    assert size == pytest.approx(pooled(logarithms(measured)), rel=0.15)
+    assert np.all(scatter.cautious > scatter.std)
+
+
+def test_scatter_in_one_element_is_told_from_that_in_all(world: Any) -> None:
+    few = repeated(world, scatter=0.03, seed=1)
+    scatter = measure(few.bench()[1], conditions(few.phases))
+    happened = logarithms(few)
+    each = np.array([pooled(np.tile(happened[:, [k]], 3)) for k in range(3)])
+    assert scatter is not None
+    # Three degrees of freedom come from the other elements, six are its own.
+    assert np.argmax(scatter.std) == np.argmax(each)
+    assert np.argmin(scatter.std) == np.argmin(each)
+
+
+def test_repeats_that_are_alike_show_next_to_none(world: Any) -> None:
+    measured = repeated(world, scatter=0.0, seed=3)
+    scatter = measure(measured.bench()[1], conditions(measured.phases))
+    assert scatter is not None
+    # The noise of a trial is taken off; what is left of it is chance.
+    assert scatter.std.max() < 0.005
+    assert scatter.std.max() == 0.0 or scatter.std.max() >= LEAST
+
+
+def test_a_missing_effect_is_no_scatter_as_it_misses_repeats_alike(world: Any) -> None:
+    measured = repeated(world, Undeclared('yield_force', (0.5,)), scatter=0.0, seed=4)
+    scatter = measure(measured.bench()[1], conditions(measured.phases))
+    assert scatter is not None
+    # Two pushes are bent by five to twenty percent each.
+    assert scatter.std.max() < 0.01
+
+
+def test_a_change_over_the_campaign_is_no_scatter(world: Any) -> None:
+    measured = repeated(world, Undeclared('ageing', (1.0,)), scatter=0.0, seed=5)
+    starts = np.array([trial.start_ns * 1e-9 for trial, _ in measured.pairs]) / 3600.0
+    drift = pooled(np.tile(starts[:, None], 3))
+    assert drift > 0.04
+    scatter = measure(measured.bench()[1], conditions(measured.phases))
+    assert scatter is not None
+    assert scatter.std.max() < 0.1 * drift
