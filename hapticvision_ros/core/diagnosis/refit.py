@@ -60,7 +60,7 @@ _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 _LOOKS: Final = 6
 _STEPS: Final = 30
 _ROUNDS: Final = 3
-_BLURS: Final = (1.0, 0.5, 0.25)
+_BLURS: Final = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
 """How well moments of jumps may be known, over a sample."""
 _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
@@ -331,7 +331,7 @@ class Workbench:
         problem = Problem(model, self.trials, self.scatter)
         begin = carried(near.problem, near.state, problem)
         added = [name for name in model.effects if name not in near.model.effects]
-        states = self._starts(problem, begin, near, added)[::2]
+        states = self._starts(problem, begin, near, added)[:-1]
         if np.array_equal(states[0][: problem.p], begin[: problem.p]):
             # What has no first guess is seen by a small step.
             for k in places_of(model, added):
@@ -445,11 +445,12 @@ class Workbench:
             values[new] = guess[new] * np.where(stiff, 1.0 / factor, factor) * scan
             state = begin.copy()
             state[: problem.p] = np.clip(model.theta(values), *model.bounds)
-            fresh = state.copy()
-            # The onsets of the smaller model make up for what it lacks.
-            for place in problem.places:
-                fresh[place.start] = 0.0
-            states += [state, fresh]
+            states.append(state)
+        fresh = states[0].copy()
+        # The onsets of the smaller model may make up for what it lacks.
+        for place in problem.places:
+            fresh[place.start] = 0.0
+        states.append(fresh)
         for state in states:
             turn_phases(problem, state)
         return states

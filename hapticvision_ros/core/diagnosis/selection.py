@@ -48,8 +48,11 @@ WEAKEST: Final = 0.04
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
-_MOST: Final = 4
+_MOST: Final = 3
 """Effects that are added at most."""
+_FIRST: Final = 10
+_LATER: Final = 5
+"""Candidates that are refitted, at first and beside effects that were accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +152,7 @@ def try_all(
     without: Refit,
     names: Sequence[str],
     *,
+    most: int = _FIRST,
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Trialled, ...]:
@@ -163,6 +167,8 @@ def try_all(
         The model.
     names : sequence of str
         The candidates.
+    most : int
+        How many are refitted at most: those that promise most.
     workers : int
         Threads.
     progress : callable, optional
@@ -175,13 +181,16 @@ def try_all(
 
     """
 
+    def look(name: str) -> float:
+        return bench.promise(Model((*without.model.effects, name)), without)
+
     def one(name: str) -> Trialled:
         if progress is not None:
             progress(name)
         model = Model((*without.model.effects, name))
         worth = price(bench, name)
-        promised = bench.promise(model, without)
-        if promised < worth / 3.0:
+        promised = promises[name]
+        if promised < worth / 3.0 or promised < least:
             return Trialled(name, max(promised, 0.0), max(promised, 0.0) - worth, 0.0, None)
         refit = bench.refit(model, without)
         if refit is None:
@@ -189,12 +198,12 @@ def try_all(
         score = max(without.deviance - refit.deviance, 0.0)
         return Trialled(name, score, score - worth, strength(bench, refit, without), refit)
 
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            tried = list(pool.map(one, names))
-    else:
-        tried = [one(name) for name in names]
-    return tuple(sorted(tried, key=lambda each: -each.gain))
+    with ThreadPoolExecutor(workers) as pool:
+        promises = dict(zip(names, pool.map(look, names), strict=True))
+        least = sorted(promises.values(), reverse=True)[:most][-1] if names else 0.0
+        tried = list(pool.map(one, names))
+    # What was refitted comes before what only promised something.
+    return tuple(sorted(tried, key=lambda each: (each.refit is None, -each.gain)))
 
 
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
@@ -239,7 +248,14 @@ def select(
     current, rounds, strongest = base, list[Round](), 0.0
     while len(rounds) < _MOST:
         open_ = candidates_for(current.model, names)
-        tried = try_all(bench, current, open_, workers=workers, progress=progress)
+        tried = try_all(
+            bench,
+            current,
+            open_,
+            most=_LATER if rounds else _FIRST,
+            workers=workers,
+            progress=progress,
+        )
         weakest = max(WEAKEST, _SECONDARY * strongest)
         good = [
             each

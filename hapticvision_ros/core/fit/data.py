@@ -52,6 +52,8 @@ _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _CORNER_SAMPLES: Final = 16
 """Corners that are so many samples of the encoders apart may be one change of speed."""
+_BURST: Final = 10
+"""Samples that may be stamped late together."""
 _EDGE_SAMPLES: Final = 6
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
@@ -602,6 +604,9 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     if bad.any():
         t, value = t[~bad], value[~bad]
     noise = _encoder_noise(value)
+    late = _late(t, value, noise)
+    if late.any():
+        t, value = t[~late], value[~late]
     top = -_AIR * float(value.max())
     below = np.flatnonzero(value > top)
     first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
@@ -764,6 +769,30 @@ def _followed(
     all_levels = np.concatenate((levels[~replaced], value[left]))
     order = np.unique(all_t, return_index=True)[1]
     return all_t[order], all_levels[order]
+
+
+def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
+    """
+    Return which samples leave a straight way for a moment and come back to it.
+
+    Heights that are stamped late, as on a busy machine, do so; a tool does not.
+    """
+    late = np.zeros(t.size, dtype=np.bool_)
+    reach = _BURST + 5
+    if noise <= 0.0 or t.size < 4 * reach:
+        return late
+    windows = np.lib.stride_tricks.sliding_window_view(np.arange(t.size), 5)
+    middle_t, middle = np.median(t[windows], axis=1), np.median(value[windows], axis=1)
+    inner = np.arange(reach, t.size - reach)
+    before, after = inner - reach, inner + reach - 4
+    share = (t[inner] - middle_t[before]) / (middle_t[after] - middle_t[before])
+    straight = middle[before] + share * (middle[after] - middle[before])
+    off = np.zeros(t.size, dtype=np.bool_)
+    off[inner] = np.abs(value[inner] - straight) > _LEFT_SIGMAS * noise
+    # At a corner samples are off for longer.
+    for first, last in runs(off):
+        late[first:last] = last - first <= _BURST
+    return late
 
 
 def _encoder_noise(value: FloatArray) -> float:
