@@ -58,7 +58,7 @@ import numpy as np
 _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 """Strengths, over the first guess, that a search starts from."""
 _LOOKS: Final = 6
-_STEPS: Final = 30
+_STEPS: Final = 12
 _ROUNDS: Final = 3
 _BLURS: Final = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
 """How well moments of jumps may be known, over a sample."""

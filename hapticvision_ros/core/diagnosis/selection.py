@@ -50,6 +50,8 @@ _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
 _MOST: Final = 3
 """Effects that are added at most."""
+_CONTEST: Final = 3
+"""Candidates that are searched for longer: those that may come first."""
 _FIRST: Final = 10
 _LATER: Final = 5
 """Candidates that are refitted, at first and beside effects that were accepted."""
@@ -203,7 +205,21 @@ def try_all(
         least = sorted(promises.values(), reverse=True)[:most][-1] if names else 0.0
         tried = list(pool.map(one, names))
     # What was refitted comes before what only promised something.
+    tried.sort(key=lambda each: (each.refit is None, -each.gain))
+    tried[:_CONTEST] = [_closer(bench, without, each) for each in tried[:_CONTEST]]
     return tuple(sorted(tried, key=lambda each: (each.refit is None, -each.gain)))
+
+
+def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
+    """Return a candidate after a longer search."""
+    if found.refit is None or found.gain < GATE:
+        return found
+    again = bench.refit(found.refit.model, found.refit)
+    if again is None or again.deviance >= found.refit.deviance:
+        return found
+    score = max(without.deviance - again.deviance, 0.0)
+    gain = score - price(bench, found.effect)
+    return Trialled(found.effect, score, gain, strength(bench, again, without), again)
 
 
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
