@@ -70,6 +70,15 @@ def test_the_push_stays_within_what_the_cell_can_do(short: Any, rival: bool) -> 
         assert push.gain > 1.0
 
 
+def test_a_push_that_should_be_fast_and_deep_ends_where_the_cell_does(noise_only: Any) -> None:
+    bench, base = noise_only.bench()
+    push = suggest(bench, base, None, noise_only.phases, LIMITS)
+    assert push is not None
+    # Against white noise the largest force tells most.
+    assert push.push_speed == pytest.approx(LIMITS.fastest)
+    assert push.depth == pytest.approx(LIMITS.deepest)
+
+
 def lead(world: Any, hold: float, extra: tuple[float, float]) -> float:
     """Return by how much the truth leads its rival with one more push."""
     made = world.campaign(SHORT, hold=2.0, recover=2.0)

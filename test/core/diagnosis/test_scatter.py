@@ -15,9 +15,13 @@
 
 """How trials differ among themselves, from repeats of the same push."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.scatter import conditions, LEAST, measure
+from hapticvision_ros.core.diagnosis.scatter import conditions, LEAST, measure, Scatter
+from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
@@ -38,10 +42,28 @@ def logarithms(measured: Any) -> Any:
     return np.log([[body.K1, body.C1, body.C2] for body in measured.truth.bodies])
 
 
-def repeated(world: Any, *effects: Undeclared, scatter: float, seed: int) -> Any:
-    """Return eight trials."""
-    campaign = world.campaign(PUSHES, hold=3.0, recover=2.0, rate=100.0, scatter=scatter)
-    return world.measure(campaign, *effects, seed=seed)
+@pytest.fixture(scope='module')
+def repeated(world: Any) -> Callable[..., Any]:
+    """Return a maker of eight trials, and of the scatter that is measured in them."""
+
+    @cache
+    def make(
+        *effects: Undeclared, scatter: float = 0.0, seed: int = 1, noise: float = 1.0
+    ) -> tuple[Any, Scatter]:
+        campaign = world.campaign(PUSHES, hold=3.0, recover=2.0, rate=100.0, scatter=scatter)
+        quiet = campaign.sensors
+        force = replace(
+            quiet.force_noise,
+            white=noise * quiet.force_noise.white,
+            coloured=noise * quiet.force_noise.coloured,
+        )
+        sensors = replace(quiet, force_noise=force, height_noise=noise * quiet.height_noise)
+        measured = world.measure(replace(campaign, sensors=sensors), *effects, seed=seed)
+        found = measure(measured.bench()[1], conditions(measured.phases))
+        assert found is not None
+        return measured, found
+
+    return make
 
 
 def phases(speed: float | None, depth: float | None, hold: float | None) -> Segmentation:
@@ -84,11 +106,8 @@ def test_without_repeats_no_scatter_is_measured(noise_only: Any) -> None:
 
 
 @pytest.mark.parametrize('seed', [1, 2])
-def test_scatter_is_measured_as_large_as_it_happened(world: Any, seed: int) -> None:
-    measured = repeated(world, scatter=0.03, seed=seed)
-    _, base = measured.bench()
-    scatter = measure(base, conditions(measured.phases))
-    assert scatter is not None
+def test_scatter_is_measured_as_large_as_it_happened(repeated: Any, seed: int) -> None:
+    measured, scatter = repeated(scatter=0.03, seed=seed)
     assert scatter.degrees == 6
     size = float(np.sqrt(np.mean(scatter.std**2)))
     # What a trial alone tells of each element is some tenths of a percent: in squares little
@@ -97,39 +116,39 @@ def test_scatter_is_measured_as_large_as_it_happened(world: Any, seed: int) -> N
     assert np.all(scatter.cautious > scatter.std)
 
 
-def test_scatter_in_one_element_is_told_from_that_in_all(world: Any) -> None:
-    few = repeated(world, scatter=0.03, seed=1)
-    scatter = measure(few.bench()[1], conditions(few.phases))
-    happened = logarithms(few)
+def test_scatter_in_one_element_is_told_from_that_in_others(repeated: Any) -> None:
+    measured, scatter = repeated(scatter=0.03, seed=1)
+    happened = logarithms(measured)
     each = np.array([pooled(np.tile(happened[:, [k]], 3)) for k in range(3)])
-    assert scatter is not None
-    # Three degrees of freedom come from the other elements, six are its own.
     assert np.argmax(scatter.std) == np.argmax(each)
     assert np.argmin(scatter.std) == np.argmin(each)
 
 
-def test_repeats_that_are_alike_show_next_to_none(world: Any) -> None:
-    measured = repeated(world, scatter=0.0, seed=3)
-    scatter = measure(measured.bench()[1], conditions(measured.phases))
-    assert scatter is not None
-    # The noise of a trial is taken off; what is left of it is chance.
+def test_what_the_noise_makes_of_repeats_is_no_scatter(repeated: Any) -> None:
+    shares = []
+    for seed in (3, 4):
+        measured, scatter = repeated(seed=seed, noise=8.0)
+        alone = [np.diag(fit([pair]).covariance)[:3] for pair in measured.pairs[:2]]
+        shares.append(np.mean(scatter.std**2) / np.mean(alone))
+    # Taken for scatter it would be the whole of it, to a quarter.
+    assert np.mean(shares) < 0.5
+
+
+def test_repeats_that_are_alike_show_next_to_none(repeated: Any) -> None:
+    _, scatter = repeated(seed=3)
     assert scatter.std.max() < 0.005
     assert scatter.std.max() == 0.0 or scatter.std.max() >= LEAST
 
 
-def test_a_missing_effect_is_no_scatter_as_it_misses_repeats_alike(world: Any) -> None:
-    measured = repeated(world, Undeclared('yield_force', (0.5,)), scatter=0.0, seed=4)
-    scatter = measure(measured.bench()[1], conditions(measured.phases))
-    assert scatter is not None
+def test_a_missing_effect_is_no_scatter_as_it_misses_repeats_alike(repeated: Any) -> None:
+    _, scatter = repeated(Undeclared('yield_force', (0.5,)), seed=4)
     # Two pushes are bent by five to twenty percent each.
     assert scatter.std.max() < 0.01
 
 
-def test_a_change_over_the_campaign_is_no_scatter(world: Any) -> None:
-    measured = repeated(world, Undeclared('ageing', (1.0,)), scatter=0.0, seed=5)
+def test_a_change_over_the_campaign_is_no_scatter(repeated: Any) -> None:
+    measured, scatter = repeated(Undeclared('ageing', (1.0,)), seed=5)
     starts = np.array([trial.start_ns * 1e-9 for trial, _ in measured.pairs]) / 3600.0
     drift = pooled(np.tile(starts[:, None], 3))
     assert drift > 0.04
-    scatter = measure(measured.bench()[1], conditions(measured.phases))
-    assert scatter is not None
     assert scatter.std.max() < 0.1 * drift
