@@ -28,12 +28,15 @@ from pathlib import Path
 import random
 import shutil
 import time
-from typing import Final
+from typing import Final, TYPE_CHECKING
 
 from hapticvision_ros.cli import cell
 from hapticvision_ros.cli.fit import fit_bags, print_tables, write_results
 from hapticvision_ros.core.errors import HapticVisionError, InputError
 from hapticvision_ros.share import share_folder
+
+if TYPE_CHECKING:
+    from hapticvision_ros.core.composition import Model
 
 SILICONE_VARIABLE: Final = 'HAPTICVISION_SILICONE'
 SILICONE_FOLDER: Final = Path('data', 'silicone_indentation')
@@ -118,14 +121,17 @@ def run(args: argparse.Namespace) -> int:
             f'no trial in {out / "bags"} is complete, so there is nothing to fit: see the '
             'messages of the nodes above, and try again on an idle machine.'
         )
+    from hapticvision_ros.core.composition import Model
+
     written = _fit(f'The {len(recorded)} trials just recorded', recorded, out / 'recorded')
     title, bags = _measured_bags(measured, out / 'measured')
     if bags:
-        written += _fit(title, bags, out / 'measured')
+        written += _fit(title, bags, out / 'measured', Model())
     print(
         '\nThe three-element model is not the whole truth about these objects: the lines above '
-        'say how far it misses\neach, which effects account for it, and how far the model with '
-        'them misses trials that it has not seen.\n'
+        'say how far it misses\neach. What it lacks was looked for in the recorded trials; for '
+        'the measured ones that takes longer:\n'
+        f'  hapticvision fit {" ".join(map(str, bags))} --out {out / "closed"}\n'
     )
     print(f'Done in {time.monotonic() - began:.0f} s. Open the reports in a browser:')
     for path in written:
@@ -239,7 +245,7 @@ def _measured_bags(csv: Path | None, out: Path) -> tuple[str, list[Path]]:
     return 'Real muscle fibres, as shipped', bags
 
 
-def _fit(title: str, bags: Sequence[Path], out: Path) -> list[Path]:
+def _fit(title: str, bags: Sequence[Path], out: Path, model: 'Model | None' = None) -> list[Path]:
     """Fit bags as the verb fit does, the last of several held out; return what was written."""
     from hapticvision_ros.report.quantities import SI_UNITS
 
@@ -247,7 +253,7 @@ def _fit(title: str, bags: Sequence[Path], out: Path) -> list[Path]:
     fitted, held_out = bags[:kept], bags[kept:]
     heading = f'{title}, {held_out[0].name} held out of the fit' if held_out else title
     print(f'\n{heading}\n{"=" * len(heading)}\n')
-    campaign = fit_bags(fitted, held_out)
+    campaign = fit_bags(fitted, held_out, model)
     result, report = write_results(out, campaign, fitted, held_out, SI_UNITS)
     print_tables(campaign, SI_UNITS)
     return [report, result]
