@@ -219,6 +219,8 @@ class Workbench:
                         max_evaluations=_LOOKS,
                     )
                 )
+        if not ends:
+            return None
         best = min(ends, key=lambda end: end.cost)
         return self._settled(problem, best.theta, near.force_noise, near.height_noise, near.blur)
 

@@ -403,7 +403,7 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     bench = Workbench(trials, scatter if scatter.size else None)
     base = bench.base(found.before)
     # Those that are in a set stay open; of the others, the best.
-    open_ = [name for alike in found.sets for name in alike]
+    open_ = list(dict.fromkeys(name for alike in found.sets for name in alike))
     others = [each.effect for each in found.ranking if each.effect not in open_]
     chosen, rounds = select(bench, base, [*open_, *others[:_OPEN]])
     return eliminate(bench, chosen, rounds)[0]

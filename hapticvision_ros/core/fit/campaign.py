@@ -71,6 +71,7 @@ _STEPS: Final = 25
 """Evaluations from each of several starts, then from the best."""
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
+"""The onset is looked for in this many errors of the detection, and so often more finely."""
 _FARTHEST_ONSET: Final = 5.0
 """The onset is at most so many errors of the detection from the detected contact."""
 _MEMORY: Final = 0.01
@@ -87,7 +88,6 @@ _SEEN: Final = 12.0
 """Gain in likelihood from which on slower noise is seen without contact."""
 _ZERO: Final = 0.03
 """How far the zero of a load cell may be from the one before contact, over the largest force."""
-"""The onset is looked for in this many errors of the detection, and so often more finely."""
 _QUIET: Final = 1e-7
 """Noise that a sensor has at least, over the largest reading."""
 _SMALLEST_GLITCH: Final = 1e-3
