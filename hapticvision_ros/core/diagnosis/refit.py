@@ -32,7 +32,6 @@ from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.fit.campaign import (
     carried,
-    find_onsets,
     Fit,
     force_blocks,
     height_blocks,
@@ -169,16 +168,27 @@ class Workbench:
         The trials.
     scatter : ndarray, shape (3,) or None
         How K1, C1 and C2 vary from trial to trial.
+    memory : (float, float), optional
+        Longest memory of the noise of force and height [s], where it is known already.
 
     """
 
-    def __init__(self, trials: Sequence[FitTrial], scatter: FloatArray | None) -> None:
+    def __init__(
+        self,
+        trials: Sequence[FitTrial],
+        scatter: FloatArray | None,
+        memory: tuple[float, float] | None = None,
+    ) -> None:
         self.trials = tuple(trials)
         self.scatter = scatter
-        self.memory = longest_memory(trials)
+        self.memory = longest_memory(trials) if memory is None else memory
         self.samples = sum(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
+
+    def scattering(self, scatter: FloatArray) -> 'Workbench':
+        """Return the same campaign with trials that scatter."""
+        return Workbench(self.trials, scatter, self.memory)
 
     def base(self, fit: Fit) -> Refit:
         """Return a fitted model as it stands on this bench."""
@@ -261,15 +271,6 @@ class Workbench:
                 promised.append((_promise(residual, jacobian), state))
         promised.sort(key=lambda each: each[0])
         return problem, promised
-
-    def with_onsets(self, found: Refit) -> Refit:
-        """Return a refit whose onsets were looked for anew, if that is better."""
-        state = found.state.copy()
-        find_onsets(found.problem, state)
-        again = self._settled(
-            found.problem, state, found.force_noise, found.height_noise, found.blur
-        )
-        return min((found, again), key=lambda each: each.deviance)
 
     def residual(
         self, problem: Problem, state: FloatArray, index: int

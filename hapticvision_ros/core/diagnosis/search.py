@@ -47,7 +47,13 @@ from hapticvision_ros.core.diagnosis.selection import (
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
 from hapticvision_ros.core.effects import BY_NAME, EFFECTS
-from hapticvision_ros.core.fit.campaign import Fit, fit_prepared, line_spectrum, Segmented
+from hapticvision_ros.core.fit.campaign import (
+    Fit,
+    fit_prepared,
+    line_spectrum,
+    pairs_of,
+    Segmented,
+)
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
@@ -108,7 +114,7 @@ def diagnose(
         if progress is not None:
             progress(what)
 
-    trials = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+    trials = pairs_of(campaign)
     tell('fitting the three-element model')
     prepared, known = prepare(trials)
     before = fit_prepared(prepared, Model(), warnings=known)
@@ -192,7 +198,7 @@ class _Search:
         bench, scattered = plain, None
         if scatter is not None and scatter.cautious.any():
             scattered = scatter.cautious
-            bench = Workbench(plain.trials, scattered)
+            bench = plain.scattering(scattered)
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
@@ -200,7 +206,7 @@ class _Search:
             found = self._unrepeated(bench, base, chosen)
             if found is not None:
                 scattered = found
-                bench = Workbench(plain.trials, scattered)
+                bench = plain.scattering(scattered)
                 base = bench.base(self.before)
                 chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
@@ -288,8 +294,7 @@ class _Search:
             return None
         best, size = chosen.deviance, None
         for each in _SCATTERS:
-            scattered = Workbench(bench.trials, np.full(3, each))
-            refit = scattered.refit(chosen.model, chosen)
+            refit = bench.scattering(np.full(3, each)).refit(chosen.model, chosen)
             if refit is not None and refit.deviance < best - LEAD:
                 best, size = refit.deviance, each
         if size is None:
@@ -366,7 +371,8 @@ class _Search:
 
 def _widened(found: Round) -> tuple[str, ...]:
     """Return the effects that a round cannot tell apart if no model is right."""
-    leader = found.candidates[0]
+    # The first candidate may have been refused.
+    leader = next(each for each in found.candidates if each.effect == found.alike[0])
     near = [
         each.effect
         for each in found.candidates
@@ -379,8 +385,8 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     """
     Choose the effects and fit the parameters without some trials.
 
-    The choice is among the candidates that all trials leave open: what gains less than all of
-    them by a wide margin could not come first without a trial either.
+    The choice is among the effects of the sets and the best of the other candidates; which these
+    are, and the scatter, all trials have told.
 
     Parameters
     ----------

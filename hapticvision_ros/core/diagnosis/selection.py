@@ -94,7 +94,7 @@ class Round:
     without : Refit
         The model before it.
     candidates : tuple of Trialled
-        By gain, best first.
+        As `try_all` returns them.
     alike : tuple of str
         The leader and those that it does not lead clearly; empty if nothing was accepted.
 
@@ -119,11 +119,11 @@ def changes(bench: Workbench, one: Refit, other: Refit) -> FloatArray:
     for index, trial in enumerate(bench.trials):
         a = one.problem.predict(one.state, index, directions=False)
         b = other.problem.predict(other.state, index, directions=False)
-        zero, height_zero = _zeros(one, index), _zeros(other, index)
-        force = (a.force + zero[0] - b.force - height_zero[0]) / force_noise
+        mine, theirs = _zeros(one, index), _zeros(other, index)
+        force = (a.force + mine[0] - b.force - theirs[0]) / force_noise
         parts.append(force * np.sqrt(trial.force_count))
         if trial.height_t.size:
-            height = (a.height + zero[1] - b.height - height_zero[1]) / height_noise
+            height = (a.height + mine[1] - b.height - theirs[1]) / height_noise
             parts.append(height * np.sqrt(trial.height_count))
     return np.concatenate(parts)
 
@@ -179,7 +179,7 @@ def try_all(
     Returns
     -------
     tuple of Trialled
-        By gain, best first.
+        By gain, best first; those that were not refitted, and only promise a gain, last.
 
     """
 

@@ -117,6 +117,11 @@ class Analysed(Protocol):
 type Segmented = Analysed | tuple[Trial, Segmentation]
 
 
+def pairs_of(campaign: Sequence[Segmented]) -> list[tuple[Trial, Segmentation]]:
+    """Return each trial with its phases."""
+    return [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignNoise:
     """
@@ -630,8 +635,7 @@ def fit(
 
     """
     model = Model() if model is None else model
-    pairs = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
-    prepared, warnings = prepare(pairs, windows=bool(_FAST & set(model.effects)))
+    prepared, warnings = prepare(pairs_of(campaign), windows=bool(_FAST & set(model.effects)))
     return fit_prepared(prepared, model, start=start, warnings=warnings)
 
 

@@ -42,6 +42,7 @@ from hapticvision_ros.core.fit.campaign import (
     CampaignNoise,
     find_onsets,
     Fit,
+    pairs_of,
     Problem,
     Segmented,
     TrialFit,
@@ -147,11 +148,6 @@ class Residuals(NamedTuple):
     measured: FloatArray
     residual: FloatArray
     phase: NDArray[np.intp]
-
-
-def pairs_of(campaign: Sequence[Segmented]) -> list[tuple[Trial, Segmentation]]:
-    """Return each trial with its phases."""
-    return [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
 
 
 def labels(campaign: Sequence[Segmented]) -> tuple[str, ...]:
