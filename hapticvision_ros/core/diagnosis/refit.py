@@ -33,11 +33,13 @@ from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.fit.campaign import (
     carried,
     Fit,
+    follow,
     force_blocks,
     height_blocks,
     longest_memory,
     places_of,
     Problem,
+    replace_onsets,
     scale_of,
     turn_phases,
 )
@@ -45,7 +47,6 @@ from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
-    estimate,
     Record,
     SensorNoise,
     Whitener,
@@ -58,9 +59,9 @@ _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 """Strengths, over the first guess, that a search starts from."""
 _LOOKS: Final = 6
 _STEPS: Final = 12
-_ROUNDS: Final = 3
-_BLURS: Final = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
-"""How well moments of jumps may be known, over a sample."""
+_ROUNDS: Final = 6
+_ENOUGH: Final = 1.0
+"""Gain below which another round of noise and parameters is not worth it."""
 _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
@@ -87,7 +88,7 @@ class Refit:
     force_noise, height_noise : SensorNoise
         The most likely noise.
     blur : float
-        How well the moments are known at which the force jumps: 1 to a sample.
+        How well the moments are known at which the force jumps, in samples.
     jumps : tuple of ndarray
         The variance that each step's force has by it [N^2].
 
@@ -108,7 +109,12 @@ class Refit:
         return replace(
             like,
             model=self.model,
-            noise=replace(like.noise, force=self.force_noise, height=self.height_noise),
+            noise=replace(
+                like.noise,
+                force=self.force_noise,
+                height=self.height_noise,
+                blur=self.blur,
+            ),
             problem=self.problem,
             state=self.state,
         )
@@ -194,8 +200,9 @@ class Workbench:
         """Return a fitted model as it stands on this bench."""
         problem = Problem(fit.model, self.trials, self.scatter)
         state = carried(fit.problem, fit.state, problem)
-        problem.set_noise(fit.noise.force, fit.noise.height, problem.jumps(state))
-        return self._settled(problem, state, fit.noise.force, fit.noise.height, 1.0)
+        noise = fit.noise
+        problem.set_noise(noise.force, noise.height, problem.jumps(state, noise.blur))
+        return self._settled(problem, state, noise.force, noise.height, noise.blur)
 
     def refit(self, model: Model, near: Refit) -> Refit | None:
         """
@@ -471,8 +478,10 @@ class Workbench:
         blur: float,
     ) -> Refit:
         """Return the best parameters and the noise that goes with them."""
-        jumps: tuple[FloatArray, ...] = ()
+        best: Refit | None = None
         for turn in range(_ROUNDS):
+            if turn:
+                replace_onsets(problem, state, force, blur)
             state = minimise(
                 problem.evaluate,
                 state,
@@ -480,48 +489,37 @@ class Workbench:
                 tolerance=_TOLERANCE if turn else 1e-4,
                 max_evaluations=_STEPS,
             ).theta
-            bare = problem.jumps(state)
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
-            force, height = self._most_likely(left, force, height, _blurred(bare, blur))
-            blur = self._sharpest(left, force, bare)
-            jumps = _blurred(bare, blur)
+            force, height = self._most_likely(left, force, height, problem.jumps(state, blur))
+            blur = problem.sharpest(state, force, blur)
+            jumps = problem.jumps(state, blur)
             problem.set_noise(force, height, jumps)
+            residual, _ = problem.evaluate(state)
+            cost = float(residual @ residual)
+            deviance = cost + problem.log_determinant + problem.scatter_price(state)
+            if best is not None and deviance > best.deviance - _ENOUGH:
+                if deviance < best.deviance:
+                    best = replace(best, state=state)
+                break
+            best = Refit(problem.model, problem, state, cost, deviance, force, height, blur, jumps)
+        assert best is not None
+        # The noise goes with the parameters that it was seen beside.
+        problem.set_noise(best.force_noise, best.height_noise, best.jumps)
         solution = minimise(
-            problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
+            problem.evaluate,
+            best.state,
+            problem.bounds,
+            tolerance=_TOLERANCE,
+            max_evaluations=_STEPS,
         )
-        return Refit(
-            model=problem.model,
-            problem=problem,
+        return replace(
+            best,
             state=solution.theta,
             cost=solution.cost,
             deviance=solution.cost
             + problem.log_determinant
             + problem.scatter_price(solution.theta),
-            force_noise=force,
-            height_noise=height,
-            blur=blur,
-            jumps=jumps,
         )
-
-    def _sharpest(
-        self,
-        left: Sequence[tuple[FloatArray, FloatArray]],
-        noise: SensorNoise,
-        bare: Sequence[FloatArray],
-    ) -> float:
-        """Return the blur of the jumps that makes the residual force most likely."""
-
-        def deviance(blur: float) -> float:
-            total = 0.0
-            for trial, (force, _), jumps in zip(
-                self.trials, left, _blurred(bare, blur), strict=True
-            ):
-                filter_ = whitener(force_blocks(trial, jumps), noise)
-                white = filter_(force[np.newaxis])[0]
-                total += float(white @ white) + filter_.log_determinant
-            return total
-
-        return min(_BLURS, key=deviance)
 
     def _most_likely(
         self,
@@ -538,16 +536,11 @@ class Workbench:
                 heights.append(_bare(height_blocks(trial), left[index][1]))
         longest, longest_height = self.memory
         interval = self.trials[0].interval
-        force = estimate(forces, force, interval, everywhere=False, longest=longest)
+        force = follow(forces, force, interval, False, longest)
         if heights:
             interval = self.trials[0].height_interval
-            height = estimate(heights, height, interval, everywhere=False, longest=longest_height)
+            height = follow(heights, height, interval, False, longest_height)
         return force, height
-
-
-def _blurred(jumps: Sequence[FloatArray], blur: float) -> tuple[FloatArray, ...]:
-    """Return the variances of jumps that are known better than to a sample."""
-    return tuple(blur**2 * each for each in jumps)
 
 
 def _bare(blocks: Blocks, residual: FloatArray) -> Record:

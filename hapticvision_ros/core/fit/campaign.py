@@ -55,6 +55,7 @@ from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 _ROUNDS: Final = 4
 """Most rounds of noise and parameters."""
@@ -64,6 +65,8 @@ _SETTLED: Final = 0.03
 """Relative change of the noise at which a further round is not worth it."""
 _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
+_OTHER: Final = 0.3
+"""Relative change of the noise from which on it may be of another kind."""
 _OUTLYING: Final = 6.0
 """Residual, in standard deviations of a sample, from which on a sample is looked at."""
 _LOOKS: Final = 7
@@ -72,6 +75,15 @@ _STEPS: Final = 25
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
 """The onset is looked for in this many errors of the detection, and so often more finely."""
+_MISPLACED: Final = 4.0
+"""Squares near the touch, over those of the noise, from which on the onset is looked for again."""
+_BETTER: Final = 0.8
+"""Part of the squares near the touch that another onset leaves, to be chosen."""
+_BLURS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""How well moments of jumps may be known, in samples."""
+_FAR: Final = 2.5
+_TREND: Final = 4.0
+"""How far a jump may be moved, and half the window that the trend is seen in, over its error."""
 _FARTHEST_ONSET: Final = 5.0
 """The onset is at most so many errors of the detection from the detected contact."""
 _MEMORY: Final = 0.01
@@ -131,6 +143,8 @@ class CampaignNoise:
     ----------
     force, height : SensorNoise
         What the residual of the fit tells of one sample of force [N] and height [m].
+    blur : float
+        How well the moments are known at which the force jumps or falls fast, in samples.
     force_before_contact, height_before_contact : float or None
         Standard deviation of a sample before contact, where the model cannot be wrong.
 
@@ -138,6 +152,7 @@ class CampaignNoise:
 
     force: SensorNoise
     height: SensorNoise
+    blur: float
     force_before_contact: float | None
     height_before_contact: float | None
 
@@ -532,12 +547,56 @@ class Problem:
                 heights.append(Record(height_blocks(trial), height[-1], height[:p], height[p:-1]))
         return forces, heights
 
-    def jumps(self, state: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the variance of each step's force for that a jump is known to a sample [N^2]."""
+    def jumps(self, state: FloatArray, blur: float = 1.0) -> tuple[FloatArray, ...]:
+        """Return the variance of each step's force for what its moment is not known by [N^2]."""
         return tuple(
-            _jumps(self.predict(state, i, directions=False).force, trial)
+            _jumps(self.predict(state, i, directions=False).force, trial, blur)
             for i, trial in enumerate(self.trials)
         )
+
+    def sharpest(self, state: FloatArray, noise: SensorNoise, blur: float) -> float:
+        """
+        Return how well the moments of jumps are known [samples].
+
+        Parameters
+        ----------
+        state : ndarray
+            All parameters.
+        noise : SensorNoise
+            The noise of the force.
+        blur : float
+            Where to begin to look.
+
+        Returns
+        -------
+        float
+            What makes the residual force most likely, among some.
+
+        """
+        parts = []
+        for index, trial in enumerate(self.trials):
+            force = self.predict(state, index, directions=False).force
+            zero = self.own(state, index)[1]
+            parts.append((trial, force, trial.force - force - zero))
+        known: dict[int, float] = {}
+
+        def misfit(place: int) -> float:
+            if place not in known:
+                known[place] = 0.0
+                for trial, force, residual in parts:
+                    jumps = _jumps(force, trial, _BLURS[place])
+                    filter_ = whitener(force_blocks(trial, jumps), noise)
+                    white = filter_(residual[np.newaxis])[0]
+                    known[place] += float(white @ white) + filter_.log_determinant
+            return known[place]
+
+        place = int(np.argmin(np.abs(np.log(np.array(_BLURS) / blur))))
+        while True:
+            near = range(max(place - 1, 0), min(place + 2, len(_BLURS)))
+            best = min(near, key=misfit)
+            if best == place:
+                return _BLURS[place]
+            place = best
 
 
 def places_of(model: Model, effects: Sequence[str]) -> list[int]:
@@ -592,7 +651,8 @@ def height_blocks(trial: FitTrial) -> Blocks:
     return Blocks(gaps, trial.height_count, np.zeros(trial.height_t.size))
 
 
-def _jumps(force: FloatArray, trial: FitTrial) -> FloatArray:
+def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
+    """Return the variance of each step's force for that its moment is known to `blur` samples."""
     middle = 0.5 * (trial.t[1:] + trial.t[:-1])
     bend = np.zeros(force.size)
     slope = np.diff(force) / np.diff(middle)
@@ -601,7 +661,27 @@ def _jumps(force: FloatArray, trial: FitTrial) -> FloatArray:
     near[1:] = np.maximum(near[1:], bend[:-1])
     near[:-1] = np.maximum(near[:-1], bend[1:])
     # A mean over several samples holds the jump in one of them.
-    return np.asarray((near / np.maximum(trial.force_count, 1.0)) ** 2, dtype=np.float64)
+    variance = (min(blur, 1.0) * near / np.maximum(trial.force_count, 1.0)) ** 2
+    if blur > 1.0:
+        variance = np.maximum(variance, _moved(force, middle, slope, blur * trial.interval))
+    return np.asarray(variance, dtype=np.float64)
+
+
+def _moved(force: FloatArray, t: FloatArray, slope: FloatArray, std: float) -> FloatArray:
+    """Return the mean square of what a force changes by, beyond its trend, when it is moved."""
+    # A tool that goes on as it did is known from many of its heights.
+    window = 2 * int(_TREND * std / float(np.diff(t).min())) + 9
+    trend = median_filter(slope, size=min(window, slope.size), mode='nearest')
+    trend = np.append(trend, trend[-1])
+    total = np.zeros(force.size)
+    offsets = np.linspace(-_FAR, _FAR, 2 * int(_FAR * std / float(np.diff(t).min())) + 5)
+    weights = np.exp(-0.5 * offsets**2)
+    for offset, weight in zip(offsets * std, weights / weights.sum(), strict=True):
+        change = np.interp(t + offset, t, force) - force - offset * trend
+        # Far from the ends of the record nothing is extrapolated.
+        inside = (t + offset >= t[0]) & (t + offset <= t[-1])
+        total += weight * np.where(inside, change, 0.0) ** 2
+    return total
 
 
 def fit(
@@ -695,34 +775,30 @@ def fit_prepared(
         force_noise, height_noise = near.noise.force, near.noise.height
         problem = Problem(model, usable)
         state = carried(near.problem, near.state, problem)
+    blur = 1.0 if near is None else near.noise.blur
     if scatter is not None:
         alike, problem = problem, Problem(model, usable, scatter)
         state = carried(alike, state, problem)
     for turn in range(_ROUNDS):
-        jumps = problem.jumps(state)
+        moved = replace_onsets(problem, state, force_noise, blur) if turn else False
+        jumps = problem.jumps(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and near is None
-        force_noise = estimate(
-            forces, force_noise, usable[0].interval, everywhere=first, longest=limit[0]
-        )
+        force_noise = follow(forces, force_noise, usable[0].interval, first, limit[0])
         if heights:
-            height_noise = estimate(
-                heights,
-                height_noise,
-                usable[0].height_interval,
-                everywhere=first,
-                longest=limit[1],
-            )
-        problem.set_noise(force_noise, height_noise, jumps)
+            interval = usable[0].height_interval
+            height_noise = follow(heights, height_noise, interval, first, limit[1])
+        blur = problem.sharpest(state, force_noise, blur)
+        problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
         solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
         state = solution.theta
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
             problem = Problem(model, cleaned, scatter)
             continue
-        if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0:
+        if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0 and not moved:
             break
-    return _result(prepared, problem, solution, force_noise, height_noise, warnings)
+    return _result(prepared, problem, solution, force_noise, height_noise, blur, warnings)
 
 
 def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
@@ -744,6 +820,22 @@ def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
             trials[0].height_interval,
         ),
     )
+
+
+def follow(
+    records: Sequence[Record],
+    start: SensorNoise,
+    interval: float,
+    everywhere: bool,
+    longest: float,
+) -> SensorNoise:
+    """Return the noise, looked for near a start and, if it is not as large there, everywhere."""
+    if not everywhere:
+        near = estimate(records, start, interval, everywhere=False, longest=longest)
+        if abs(math.log(near.std / start.std)) < _OTHER:
+            return near
+        start = near
+    return estimate(records, start, interval, longest=longest)
 
 
 def longest_memory(trials: Sequence[FitTrial]) -> tuple[float, float]:
@@ -890,25 +982,76 @@ def find_onsets(problem: Problem, state: FloatArray) -> None:
     The force of a dashpot jumps at the touch: a search that goes by slopes does not see which way
     the jump has to move, as no sample changes before it passes one.
     """
+    for index in range(len(problem.trials)):
+        _find_onset(problem, state, index)
+
+
+def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur: float) -> bool:
+    """
+    Look for the onsets again that leave more than the noise near the touch.
+
+    Parameters
+    ----------
+    problem : Problem
+        Model and trials.
+    state : ndarray
+        All parameters; changed where another onset is better.
+    noise : SensorNoise
+        The noise of the force.
+    blur : float
+        How well the moments of jumps are known, in samples.
+
+    Returns
+    -------
+    bool
+        Whether any onset was moved.
+
+    """
+    moved = False
     for index, trial in enumerate(problem.trials):
-        place = problem.places[index].start
-        reach = _ONSET_REACH * trial.onset_std
-        near = np.abs(trial.displacement) <= 2.0 * reach
-        first, last = np.flatnonzero(near)[[0, -1]]
-        deepest = int(np.argmax(trial.displacement))
-        chosen = slice(first, min(last, deepest))
-        force, count = trial.force[chosen], trial.force_count[chosen]
-        zero = problem.own(state, index)[1]
-        state[place] = 0.0
-        for _ in range(_ONSET_ZOOMS):
-            tried = state[place] + np.linspace(-reach, reach, 9)
-            costs = []
-            for value in tried:
-                state[place] = value
-                predicted = problem.predict(state, index, directions=False).force[chosen]
-                costs.append(float(count @ (predicted + zero - force) ** 2))
-            state[place] = tried[int(np.argmin(costs))]
-            reach /= 3.0
+        chosen = _near_touch(trial)
+        force = problem.predict(state, index, directions=False).force
+        variance = _jumps(force, trial, blur)[chosen] + noise.std**2
+        squares = _squares(problem, state, index, chosen)
+        if squares < _MISPLACED * float(trial.force_count[chosen] @ variance):
+            continue
+        place, old = problem.places[index].start, float(state[problem.places[index].start])
+        _find_onset(problem, state, index)
+        if _squares(problem, state, index, chosen) < _BETTER * squares:
+            moved = True
+        else:
+            state[place] = old
+    return moved
+
+
+def _near_touch(trial: FitTrial) -> slice:
+    """Return the steps of the push in which the touch may be."""
+    near = np.abs(trial.displacement) <= 2.0 * _ONSET_REACH * trial.onset_std
+    first, last = np.flatnonzero(near)[[0, -1]]
+    return slice(int(first), min(int(last), int(np.argmax(trial.displacement))))
+
+
+def _squares(problem: Problem, state: FloatArray, index: int, chosen: slice) -> float:
+    """Return the squares of the residual force in some steps."""
+    trial = problem.trials[index]
+    predicted = problem.predict(state, index, directions=False).force[chosen]
+    residual = predicted + problem.own(state, index)[1] - trial.force[chosen]
+    return float(trial.force_count[chosen] @ residual**2)
+
+
+def _find_onset(problem: Problem, state: FloatArray, index: int) -> None:
+    """Set the onset of one trial to where its first force is followed best."""
+    trial, place = problem.trials[index], problem.places[index].start
+    reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(problem.trials[index])
+    state[place] = 0.0
+    for _ in range(_ONSET_ZOOMS):
+        tried = state[place] + np.linspace(-reach, reach, 9)
+        costs = []
+        for value in tried:
+            state[place] = value
+            costs.append(_squares(problem, state, index, chosen))
+        state[place] = tried[int(np.argmin(costs))]
+        reach /= 3.0
 
 
 def turn_phases(problem: Problem, state: FloatArray) -> None:
@@ -1066,6 +1209,7 @@ def _result(
     solution: Solution,
     force_noise: SensorNoise,
     height_noise: SensorNoise,
+    blur: float,
     known: Sequence[str],
 ) -> Fit:
     """Return the fit with its errors and warnings."""
@@ -1109,6 +1253,7 @@ def _result(
     noise = CampaignNoise(
         force_noise,
         height_noise,
+        blur,
         float(np.median(before)) if before else None,
         float(np.median(height_before)) if height_before else None,
     )
