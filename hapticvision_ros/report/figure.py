@@ -12,84 +12,65 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+"""
+Pictures of a signal against its fits, as SVG that takes its colours from the page.
 
-"""Pictures of a signal against its fits, as SVG that takes its colours from the page."""
+The SVG is written out here: a plotting library takes longer to import and to draw than the fit of
+a trial.
+"""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-import io
+from html import escape
 import math
-import re
-from typing import Final, Literal, TYPE_CHECKING
+from typing import Final, Literal
 
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.report.decimation import line
 import numpy as np
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 type Window = tuple[float, float]
 type Role = Literal['measured', 'tool', 'paper', 'base', 'after']
 
 _BINS: Final = 500
 _MARKERS_UP_TO: Final = 150
-_ROOM_FOR_A_LETTER: Final = 0.009
-_ROOM_BESIDE_A_NAME: Final = 0.035
-_COLUMNS: Final = (1.0, 2.3)
-# A layout that is computed from the extent of every label takes longer than all the drawing.
-_MARGINS: Final[dict[str, float]] = {
-    'left': 0.1,
-    'right': 0.992,
-    'bottom': 0.115,
-    'top': 0.83,
-    'hspace': 0.1,
-    'wspace': 0.12,
-}
 _CLOSE_UP_BELOW: Final = 0.2
-_LABEL_PLACE: Final = -0.085
-_WIDTH_IN: Final = 9.6
-_HEIGHT_IN: Final = 4.3
-_ROW_IN: Final = 1.0
 _NOISE_BAND_SIGMAS: Final = 2.0
-_RESIDUAL_WIDTH: Final = 0.8
 _GLITCH_SHARE: Final = 0.002
 _GLITCH_RATIO: Final = 2.0
 
-# Each stands for a CSS variable of the page, so that a dark screen and white paper both read
-# well. The values never reach the page.
-_INK: Final = '#010203'
-_GRID: Final = '#010204'
-_SOFT: Final = '#01020b'
-_BAND: Final = '#010205'
-_SHADES: Final = ('#010206', '#010207')
-_INDEX: Final = '<tspan dy="0.25em" font-size="75%">'
+# The layout, in points of a picture that the page scales to its width.
+_WIDTH: Final = 691.0
+_LEFT: Final = 69.0
+_RIGHT: Final = 686.0
+_TOP: Final = 53.0
+_BOTTOM: Final = 36.0
+_SIGNAL_HEIGHT: Final = 152.0
+_RESIDUAL_HEIGHT: Final = 58.0
+_ROOM_BETWEEN_ROWS: Final = 11.0
+_ROOM_BETWEEN_COLUMNS: Final = 35.0
+_COLUMNS: Final = (1.0, 2.3)
+_TICK: Final = 3.5
+_POINTS_A_TICK: Final = 40.0
+_TICKS_OF_A_SIGNAL: Final = 6
+_TICKS_OF_A_RESIDUAL: Final = 4
+_TICK_STEPS: Final = (1.0, 2.0, 2.5, 5.0, 10.0)
+_FONT: Final = 9.5
+_LETTER: Final = 5.2
+_LEGEND_LINE: Final = 23.0
+_LEGEND_GAP: Final = 18.0
+_ROOM_FOR_A_LETTER: Final = 6.0
+_ROOM_BESIDE_A_NAME: Final = 22.0
+_RAISED: Final = 11.5
+
 _COLOURS: Final[dict[Role, str]] = {
-    'measured': '#010208',
-    'tool': '#01020c',
-    'paper': '#010209',
-    'base': '#01020a',
-    'after': '#01020d',
+    'measured': 'var(--measured)',
+    'tool': 'var(--tool)',
+    'paper': 'var(--paper-fit)',
+    'base': 'var(--base-fit)',
+    'after': 'var(--after-fit)',
 }
-_VARIABLES: Final = {
-    _INK: 'var(--ink)',
-    _GRID: 'var(--grid)',
-    _SOFT: 'var(--soft)',
-    _BAND: 'var(--band)',
-    _SHADES[0]: 'var(--shade-a)',
-    _SHADES[1]: 'var(--shade-b)',
-    _COLOURS['measured']: 'var(--measured)',
-    _COLOURS['tool']: 'var(--tool)',
-    _COLOURS['paper']: 'var(--paper-fit)',
-    _COLOURS['base']: 'var(--base-fit)',
-    _COLOURS['after']: 'var(--after-fit)',
-}
-_DASHES: Final[dict[Role, str]] = {
-    'measured': '-',
-    'tool': ':',
-    'paper': '--',
-    'base': '-',
-    'after': '-',
-}
+_DASHES: Final[dict[Role, str]] = {'tool': '1.3,2.1', 'paper': '7,3'}
 _WIDTHS: Final[dict[Role, float]] = {
     'measured': 1.1,
     'tool': 1.3,
@@ -97,6 +78,8 @@ _WIDTHS: Final[dict[Role, float]] = {
     'base': 1.5,
     'after': 1.5,
 }
+_RESIDUAL_WIDTH: Final = 0.8
+_DOT: Final = 3.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +156,35 @@ class Panel:
     marks: tuple[Mark, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The axes of a picture: where they stand [points, y downwards] and what they span."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    window: Window
+    limits: Window
+
+    def x(self, t: float) -> float:
+        start, stop = self.window
+        return self.left + (self.right - self.left) * (t - start) / (stop - start)
+
+    def y(self, value: float) -> float:
+        low, high = self.limits
+        return self.bottom - (self.bottom - self.top) * (value - low) / (high - low)
+
+    def points(self, t: FloatArray, value: FloatArray) -> FloatArray:
+        """Return where samples stand, in hundredths of a point: no screen shows less."""
+        start, stop = self.window
+        low, high = self.limits
+        x = self.left + (self.right - self.left) / (stop - start) * (t - start)
+        y = self.bottom - (self.bottom - self.top) / (high - low) * (value - low)
+        points: FloatArray = np.round(100.0 * np.stack((x, y), axis=1))
+        return points
+
+
 def _within(series: Series, window: Window) -> tuple[FloatArray, FloatArray]:
     """Return the samples in a window and one beyond each end, so that lines reach the frame."""
     first = max(0, int(np.searchsorted(series.t, window[0])) - 1)
@@ -180,30 +192,7 @@ def _within(series: Series, window: Window) -> tuple[FloatArray, FloatArray]:
     return series.t[first:last], series.value[first:last]
 
 
-def _draw(axes: 'Axes', series: Series, window: Window, thin: bool) -> None:
-    t, value = line(*_within(series, window), _BINS)
-    few = series.role == 'measured' and series.t.size <= _MARKERS_UP_TO
-    axes.plot(
-        t,
-        value,
-        color=_COLOURS[series.role],
-        linestyle='none' if few else ('-' if thin else _DASHES[series.role]),
-        marker='o' if few else None,
-        markersize=3.2,
-        linewidth=_RESIDUAL_WIDTH if thin else _WIDTHS[series.role],
-        label=series.label,
-        solid_joinstyle='round',
-    )
-
-
-def _shade(axes: 'Axes', panel: Panel) -> None:
-    for number, phase in enumerate(panel.phases):
-        axes.axvspan(phase.start, phase.stop, color=_SHADES[number % 2], linewidth=0, zorder=-2)
-    for mark in panel.marks:
-        axes.axvline(mark.t, color=_INK, linewidth=0.7, linestyle=(0, (2, 2)), zorder=-1)
-
-
-def _limits(lines: tuple[Series, ...], window: Window, robust: bool) -> Window | None:
+def _limits(lines: tuple[Series, ...], window: Window, robust: bool) -> Window:
     """
     Return the least and the greatest value in a window of time, with a margin.
 
@@ -212,7 +201,7 @@ def _limits(lines: tuple[Series, ...], window: Window, robust: bool) -> Window |
     parts = [_within(series, window)[1] for series in lines]
     values = np.concatenate([part[np.isfinite(part)] for part in parts])
     if not values.size:
-        return None
+        return 0.0, 1.0
     lowest, highest = float(values.min()), float(values.max())
     if robust:
         low, high = np.quantile(values, (_GLITCH_SHARE, 1.0 - _GLITCH_SHARE))
@@ -223,25 +212,143 @@ def _limits(lines: tuple[Series, ...], window: Window, robust: bool) -> Window |
     return lowest - margin, highest + margin
 
 
-def _point_at_what_is_off(axes: 'Axes', lines: tuple[Series, ...], window: Window) -> None:
-    """Set a triangle at the frame where samples lie beyond it."""
-    low, high = axes.get_ylim()
+def _number(value: float) -> str:
+    """Return a length for a picture, to a hundredth of a point."""
+    return f'{value:.2f}'.rstrip('0').rstrip('.')
+
+
+def _polyline(points: FloatArray) -> str:
+    """Return the path through points [hundredths], interrupted where one is not finite."""
+    whole = np.isfinite(points[:, 1])
+    cuts = np.flatnonzero(whole[1:] != whole[:-1]) + 1
+    path = []
+    for part in np.split(points, cuts):
+        if not part.size or not np.isfinite(part[0, 1]):
+            continue
+        # From point to point: the steps have fewer digits than the places.
+        steps = np.diff(part, axis=0)
+        (x, y), moved = part[0], steps[np.any(steps != 0.0, axis=1)]
+        path.append(f'M{x / 100:g},{y / 100:g}l')
+        path.append(' '.join(f'{dx / 100:g},{dy / 100:g}' for dx, dy in moved.tolist()) or '0,0')
+    return ''.join(path)
+
+
+def _dots(points: FloatArray) -> str:
+    """Return a path that sets a dot at each point [hundredths], for a pen with a round tip."""
+    return ''.join(f'M{x / 100:g},{y / 100:g}h0' for x, y in points.tolist() if math.isfinite(y))
+
+
+def _path(path: str, style: str) -> str:
+    return f'<path d="{path}" style="{style}"/>'
+
+
+def _pen(colour: str, width: float, dashes: str | None = None) -> str:
+    """Return the style of a line."""
+    style = f'fill:none;stroke:{colour};stroke-width:{width}'
+    return style if dashes is None else f'{style};stroke-dasharray:{dashes}'
+
+
+def _rectangle(left: float, right: float, top: float, bottom: float, colour: str) -> str:
+    width, height = _number(right - left), _number(bottom - top)
+    place = f'x="{_number(left)}" y="{_number(top)}" width="{width}" height="{height}"'
+    return f'<rect {place} style="fill:{colour}"/>'
+
+
+def _text(x: float, y: float, text: str, anchor: str = 'middle', style: str = '') -> str:
+    """Return a text, whose markup is escaped already."""
+    return (
+        f'<text x="{_number(x)}" y="{_number(y)}" '
+        f'style="text-anchor:{anchor};{style}">{text}</text>'
+    )
+
+
+def _ruler(window: Window, most: int) -> tuple[list[float], list[str]]:
+    """Return round places for at most `most` spaces in a window, and their labels."""
+    low, high = window
+    raw = (high - low) / most
+    decade = 10.0 ** math.floor(math.log10(raw))
+    step = decade * next(one for one in _TICK_STEPS if one * decade >= 0.999 * raw)
+    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+    places = [number * step for number in range(first, last + 1)]
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    if abs(step * 10.0**digits - round(step * 10.0**digits)) > 1e-6:
+        digits += 1  # 0.25 and not 0.2
+    greatest = max((abs(place) for place in places), default=0.0)
+    if digits > 6 or greatest >= 1e6:
+        significant = max(1, math.floor(math.log10(max(greatest, step) / step) + 1e-9) + 2)
+        labels = [f'{place:.{significant}g}' for place in places]
+    else:
+        labels = [f'{place + 0.0:.{digits}f}' for place in places]
+    return places, [label.replace('-', '\N{MINUS SIGN}') for label in labels]
+
+
+def _drawn(frame: _Frame, series: Series, thin: bool) -> str:
+    """Return the line of a series."""
+    points = frame.points(*line(*_within(series, frame.window), _BINS))
+    colour = _COLOURS[series.role]
+    if series.role == 'measured' and series.t.size <= _MARKERS_UP_TO:
+        return _path(_dots(points), f'{_pen(colour, _DOT)};stroke-linecap:round')
+    if thin:
+        return _path(_polyline(points), _pen(colour, _RESIDUAL_WIDTH))
+    return _path(_polyline(points), _pen(colour, _WIDTHS[series.role], _DASHES.get(series.role)))
+
+
+def _inside(frame: _Frame, parts: Sequence[str]) -> str:
+    """Return parts of a picture, cut off at the frame."""
+    size = frame.right - frame.left, frame.bottom - frame.top
+    x, y, width, height = (_number(one) for one in (frame.left, frame.top, *size))
+    place = f'x="{x}" y="{y}" width="{width}" height="{height}"'
+    # An inner picture is cut off at its edge; its view box keeps the outer one's coordinates.
+    return f'<svg {place} viewBox="{x} {y} {width} {height}">{"".join(parts)}</svg>'
+
+
+def _background(frame: _Frame, panel: Panel) -> Iterator[str]:
+    """Give the shades of the phases and the instants between them."""
+    for number, phase in enumerate(panel.phases):
+        start, stop = frame.x(phase.start), frame.x(phase.stop)
+        yield _rectangle(start, stop, frame.top, frame.bottom, f'var(--shade-{"ab"[number % 2]})')
+    for mark in panel.marks:
+        x = _number(frame.x(mark.t))
+        path = f'M{x},{_number(frame.bottom)}V{_number(frame.top)}'
+        yield _path(path, _pen('var(--ink)', 0.7, '1.4,1.4'))
+
+
+def _axes(frame: _Frame, most: int, lowest: bool, inside: Sequence[str]) -> Iterator[str]:
+    """Give the axes of a frame with their ticks, and what is inside them."""
+    left, right, bottom = _number(frame.left), _number(frame.right), _number(frame.bottom)
+    places, labels = _ruler(frame.limits, most)
+    heights = [frame.y(place) for place in places]
+    grid = ''.join(f'M{left},{_number(y)}H{right}' for y in heights)
+    # Shades, grid, lines: each upon the one before.
+    yield _inside(frame, [inside[0], _path(grid, _pen('var(--grid)', 0.6)), *inside[1:]])
+    ticks = [f'M{left},{_number(y)}h{-_TICK}' for y in heights]
+    for y, label in zip(heights, labels, strict=True):
+        yield _text(frame.left - 2.0 * _TICK, y + 0.36 * _FONT, label, 'end')
+    most = max(2, int((frame.right - frame.left) / _POINTS_A_TICK))
+    places, labels = _ruler(frame.window, most)
+    for place, label in zip(places, labels, strict=True):
+        x = frame.x(place)
+        ticks.append(f'M{_number(x)},{bottom}v{_TICK}')
+        if lowest:
+            yield _text(x, frame.bottom + 2.0 * _TICK + 0.8 * _FONT, label)
+    spines = f'M{left},{_number(frame.top)}V{bottom}H{right}'
+    yield _path(spines + ''.join(ticks), _pen('var(--ink)', 0.7))
+
+
+def _point_at_what_is_off(frame: _Frame, lines: tuple[Series, ...]) -> Iterator[str]:
+    """Give a triangle at the frame where samples lie beyond it."""
+    low, high = frame.limits
     for series in lines:
-        t, value = line(*_within(series, window), _BINS)
-        seen = (t >= window[0]) & (t <= window[1])
+        t, value = line(*_within(series, frame.window), _BINS)
+        seen = (t >= frame.window[0]) & (t <= frame.window[1])
         t, value = t[seen], value[seen]
-        for beyond, edge, marker in ((value > high, high, '^'), (value < low, low, 'v')):
-            (triangles,) = axes.plot(
-                t[beyond],
-                np.full(int(beyond.sum()), edge),
-                linestyle='none',
-                marker=marker,
-                markersize=5.0,
-                color=_COLOURS[series.role],
-                clip_on=False,
+        for beyond, edge, down in ((value > high, frame.top, 1), (value < low, frame.bottom, -1)):
+            corners = ''.join(
+                f'M{_number(frame.x(one))},{_number(edge)}l-2.5,{4.3 * down}h5z'
+                for one in t[beyond].tolist()
             )
-            # An empty line has no extent: it would upset the layout.
-            triangles.set_in_layout(False)
+            if corners:
+                yield _path(corners, f'fill:{_COLOURS[series.role]}')
 
 
 def _close_up(panel: Panel, span: Window) -> Window | None:
@@ -261,51 +368,83 @@ def _span(panel: Panel) -> Window:
     return float(measured[0]), float(measured[-1])
 
 
-def _label_phases(axes: 'Axes', panel: Panel, window: Window, share: float) -> None:
-    """
-    Write the instants above the frame, and the phases where there is room for them.
-
-    The panel takes `share` of the picture's width.
-    """
-    transform = axes.get_xaxis_transform()
-    width = window[1] - window[0]
+def _phases_named(frame: _Frame, panel: Panel) -> Iterator[str]:
+    """Give the names of the instants above the frame, and of the phases that have room."""
     right_of_last = -math.inf
     row = 0
+    above = frame.top - 4.0
     for mark in panel.marks:
-        if not window[0] <= mark.t <= window[1]:
+        if not frame.window[0] <= mark.t <= frame.window[1]:
             continue
+        x = frame.x(mark.t)
         # Two instants too close to each other to be told apart stand one above the other.
-        close = share * (mark.t - right_of_last) < _ROOM_BESIDE_A_NAME * width
-        row = row + 1 if close else 0
-        right_of_last = mark.t
-        axes.text(
-            mark.t,
-            1.015 + 0.075 * row,
-            mark.symbol,
-            transform=transform,
-            ha='center',
-            va='bottom',
-            color=_INK,
-            fontsize=9,
-            style='italic',
-        )
+        row = row + 1 if x - right_of_last < _ROOM_BESIDE_A_NAME else 0
+        right_of_last = x
+        letter, _, index = (escape(part) for part in mark.symbol.partition('_'))
+        if index:
+            index = f'<tspan dy="0.25em" font-size="75%">{index}</tspan>'
+        yield _text(x, above - _RAISED * row, letter + index, style='font-style:italic')
     for phase in panel.phases:
-        start, stop = max(phase.start, window[0]), min(phase.stop, window[1])
+        start, stop = max(phase.start, frame.window[0]), min(phase.stop, frame.window[1])
         room = _ROOM_BESIDE_A_NAME + _ROOM_FOR_A_LETTER * len(phase.name)
-        if share * (stop - start) > room * width:
-            axes.text(
-                0.5 * (start + stop),
-                1.015,
-                phase.name,
-                transform=transform,
-                ha='center',
-                va='bottom',
-                color=_SOFT,
-                fontsize=8.5,
-            )
+        if frame.x(stop) - frame.x(start) > room:
+            x = frame.x(0.5 * (start + stop))
+            yield _text(x, above, escape(phase.name), style='font-size:8.5px;fill:var(--soft)')
 
 
-def svg(panel: Panel, salt: str) -> str:
+def _legend(lines: tuple[Series, ...]) -> Iterator[str]:
+    """Give what the lines are called, in a row at the top."""
+    widths = [_LEGEND_LINE + 6.0 + _LETTER * len(series.label) for series in lines]
+    x = 0.5 * (_LEFT + _RIGHT - sum(widths) - _LEGEND_GAP * (len(widths) - 1))
+    for series, width in zip(lines, widths, strict=True):
+        colour = _COLOURS[series.role]
+        if series.role == 'measured' and series.t.size <= _MARKERS_UP_TO:
+            dot = f'M{_number(x + 0.5 * _LEGEND_LINE)},12h0'
+            yield _path(dot, f'{_pen(colour, _DOT)};stroke-linecap:round')
+        else:
+            pen = _pen(colour, _WIDTHS[series.role], _DASHES.get(series.role))
+            yield _path(f'M{_number(x)},12h{_LEGEND_LINE}', pen)
+        yield _text(x + _LEGEND_LINE + 6.0, 12.0 + 0.36 * _FONT, escape(series.label), 'start')
+        x += width + _LEGEND_GAP
+
+
+def _frames(panel: Panel) -> list[list[_Frame]]:
+    """Return the frames of a picture, row by row, the signal's first."""
+    span = _span(panel)
+    close_up = _close_up(panel, span)
+    windows = [span] if close_up is None else [close_up, span]
+    parts = (1.0,) if close_up is None else _COLUMNS
+    room = _RIGHT - _LEFT - _ROOM_BETWEEN_COLUMNS * (len(windows) - 1)
+    edges = []
+    left = _LEFT
+    for part in parts:
+        width = room * part / sum(parts)
+        edges.append((left, left + width))
+        left += width + _ROOM_BETWEEN_COLUMNS
+    rows = []
+    top = _TOP
+    for number, lines in enumerate((panel.lines, *panel.residuals)):
+        height = _RESIDUAL_HEIGHT if number else _SIGNAL_HEIGHT
+        rows.append(
+            [
+                _Frame(*edge, top, top + height, window, _limits(lines, window, number > 0))
+                for edge, window in zip(edges, windows, strict=True)
+            ]
+        )
+        top += height + _ROOM_BETWEEN_ROWS
+    return rows
+
+
+def _turned(y: float, text: str) -> str:
+    """Return a text that reads upwards along the left edge."""
+    place = f'{_number(0.19 * _LEFT)} {_number(y)}'
+    return (
+        f'<text transform="translate({place}) rotate(-90)" '
+        f'style="text-anchor:middle">{escape(text)}</text>'
+    )
+
+
+def svg(panel: Panel) -> str:
     """
     Draw a panel: signal and fits above, residuals with the band of the noise below.
 
@@ -315,132 +454,53 @@ def svg(panel: Panel, salt: str) -> str:
     ----------
     panel : Panel
         What to draw.
-    salt : str
-        Sets the picture's identifiers apart from those of the page's other pictures.
 
     Returns
     -------
     str
-        An ``<svg>`` element for a page that defines the CSS variables ``--ink``, ``--soft``,
-        ``--grid``, ``--band``, ``--shade-a``, ``--shade-b``, ``--measured``,
-        ``--tool``, ``--paper-fit``, ``--base-fit`` and ``--after-fit``.
+        An ``<svg>`` element without identifiers, for a page that defines the CSS variables
+        ``--ink``, ``--soft``, ``--grid``, ``--band``, ``--shade-a``, ``--shade-b``,
+        ``--measured``, ``--tool``, ``--paper-fit``, ``--base-fit`` and ``--after-fit``.
 
     """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    span = _span(panel)
-    close_up = _close_up(panel, span)
-    windows = [span] if close_up is None else [close_up, span]
-    shares = [1.0] if close_up is None else [one / sum(_COLUMNS) for one in _COLUMNS]
-    with mpl.rc_context(
-        {
-            'svg.fonttype': 'none',
-            'svg.hashsalt': salt,
-            'font.family': 'sans-serif',
-            'font.size': 9.5,
-            'text.color': _INK,
-            'axes.edgecolor': _INK,
-            'axes.labelcolor': _INK,
-            'xtick.color': _INK,
-            'ytick.color': _INK,
-            'axes.linewidth': 0.7,
-            'axes.spines.top': False,
-            'axes.spines.right': False,
-            'grid.color': _GRID,
-            'grid.linewidth': 0.6,
-            'axes.unicode_minus': True,
-            'path.simplify': True,
-        }
+    rows = _frames(panel)
+    names = (panel.quantity, *_names_of_rows(len(panel.residuals)))
+    parts = list(_legend(panel.lines))
+    for number, (frames, lines) in enumerate(
+        zip(rows, (panel.lines, *panel.residuals), strict=True)
     ):
-        rows = len(panel.residuals)
-        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN + _ROW_IN * max(0, rows - 1)))
-        figure.subplots_adjust(**_margins(figure.get_figheight()))
-        FigureCanvasSVG(figure)
-        figure.patch.set_alpha(0.0)
-        grid = figure.subplots(
-            1 + rows,
-            len(windows),
-            squeeze=False,
-            sharex='col',
-            height_ratios=[2.6, *[1.0] * rows],
-            width_ratios=shares,
-        )
-        for column, window in enumerate(windows):
-            top = grid[0][column]
-            for series in panel.lines:
-                _draw(top, series, window, thin=False)
-            _label_phases(top, panel, window, shares[column])
-            content = [(top, panel.lines)]
-            for below, residuals in zip(grid[1:, column], panel.residuals, strict=True):
-                if panel.noise:
-                    band = _NOISE_BAND_SIGMAS * panel.noise
-                    below.axhspan(-band, band, color=_BAND, linewidth=0, zorder=0)
-                below.axhline(0.0, color=_INK, linewidth=0.6)
-                for series in residuals:
-                    _draw(below, series, window, thin=True)
-                content.append((below, residuals))
-            for axes, lines in content:
-                _shade(axes, panel)
-                axes.set_xlim(*window)
-                limits = _limits(lines, window, robust=axes is not top)
-                if limits is not None:
-                    axes.set_ylim(*limits)
-                    _point_at_what_is_off(axes, lines, window)
-                axes.grid(axis='y')
-                axes.set_axisbelow(True)
-                axes.patch.set_alpha(0.0)
-                axes.locator_params(axis='y', nbins=6 if axes is top else 4)
-            content[-1][0].set_xlabel('Time [s]')
-        grid[0][0].set_ylabel(f'{panel.quantity} [{panel.unit}]')
-        for below, name in zip(grid[1:, 0], _names_of_rows(rows), strict=True):
-            below.set_ylabel(f'{name} [{panel.unit}]')
-        for axes in grid[:, 0]:
-            axes.yaxis.set_label_coords(_LABEL_PLACE / shares[0], 0.5)
-        handles, labels = grid[0][-1].get_legend_handles_labels()
-        figure.legend(
-            handles,
-            labels,
-            loc='upper center',
-            ncols=len(labels),
-            frameon=False,
-            handlelength=2.4,
-        )
-        stream = io.StringIO()
-        figure.savefig(stream, format='svg', metadata={'Date': None})
-    return _for_a_page(stream.getvalue())
+        middle = 0.5 * (frames[0].top + frames[0].bottom)
+        parts.append(_turned(middle, f'{names[number]} [{panel.unit}]'))
+        for frame in frames:
+            inside = [''.join(_background(frame, panel))]
+            if number:
+                inside.append(_zero(frame, panel.noise))
+            else:
+                parts += _phases_named(frame, panel)
+            inside += [_drawn(frame, series, thin=number > 0) for series in lines]
+            most = _TICKS_OF_A_RESIDUAL if number else _TICKS_OF_A_SIGNAL
+            parts += _axes(frame, most, number == len(rows) - 1, inside)
+            parts += _point_at_what_is_off(frame, lines)
+    bottom = rows[-1][0].bottom
+    parts += [
+        _text(0.5 * (frame.left + frame.right), bottom + 31.0, 'Time [s]') for frame in rows[-1]
+    ]
+    box = f'0 0 {_number(_WIDTH)} {_number(bottom + _BOTTOM)}'
+    style = f'font-size:{_FONT}px;fill:var(--ink)'
+    return f'<svg viewBox="{box}" style="{style}">\n' + '\n'.join(parts) + '\n</svg>'
+
+
+def _zero(frame: _Frame, noise: float | None) -> str:
+    """Return the line of no residual, and the band of the noise about it."""
+    y = _number(frame.y(0.0))
+    zero = _path(f'M{_number(frame.left)},{y}H{_number(frame.right)}', _pen('var(--ink)', 0.6))
+    if not noise:
+        return zero
+    band = _NOISE_BAND_SIGMAS * noise
+    ends = frame.y(band), frame.y(-band)
+    return _rectangle(frame.left, frame.right, *ends, 'var(--band)') + zero
 
 
 def _names_of_rows(rows: int) -> tuple[str, ...]:
     """Return what the rows of residuals are called."""
     return ('Residual',) if rows == 1 else ('Before', 'After')[:rows]
-
-
-def _margins(height: float) -> dict[str, float]:
-    """Return the margins of a picture of some height [in]: what is beside the axes stays so."""
-    share = _HEIGHT_IN / height
-    return {
-        **_MARGINS,
-        'bottom': _MARGINS['bottom'] * share,
-        'top': 1.0 - (1.0 - _MARGINS['top']) * share,
-    }
-
-
-def _for_a_page(document: str) -> str:
-    """Return the ``<svg>`` element of a document, small and in the page's colours."""
-    element = document.removeprefix(document.partition('<svg')[0])
-    element = re.sub(r'<metadata>.*?</metadata>\s*', '', element, flags=re.DOTALL)
-    element = re.sub(r'<style type="text/css">.*?</style>\s*', '', element, flags=re.DOTALL)
-    # Identifiers of groups repeat from picture to picture; nothing refers to them.
-    element = re.sub(r'<g id="[^"]*"', '<g', element)
-    element = re.sub(r' d="[^"]*"', _short_path, element)
-    element = re.sub(r'>(\w)_(\w+)</text>', rf'>\1{_INDEX}\2</tspan></text>', element)
-    for placeholder, variable in _VARIABLES.items():
-        element = element.replace(placeholder, variable)
-    return re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', r'<svg viewBox="\1">', element, count=1)
-
-
-def _short_path(path: re.Match[str]) -> str:
-    """Return a path's coordinates with two decimals: a hundredth of a point is no pixel."""
-    return re.sub(r'(\.\d\d)\d+', r'\1', path[0]).replace(' \n', ' ')

@@ -63,9 +63,9 @@ def _trial(number: int, one: Shown, noise: Noise, units: UnitSystem) -> Mapping[
     name = analysis.trial.name
     force = force_panel(one, noise.force.value, units)
     height = height_panel(one, noise.height.value, units)
-    pictures = [_picture(force, name, f'{number}-force', _force_words(one, units))]
+    pictures = [_picture(force, name, _force_words(one, units))]
     if height is not None:
-        pictures.append(_picture(height, name, f'{number}-height', _height_words(one, units)))
+        pictures.append(_picture(height, name, _height_words(one, units)))
     phases, paper = analysis.segmentation, analysis.paper
     return {
         'number': number,
@@ -86,12 +86,12 @@ def _trial(number: int, one: Shown, noise: Noise, units: UnitSystem) -> Mapping[
     }
 
 
-def _picture(panel: Panel, name: str, salt: str, caption: str) -> Mapping[str, str]:
+def _picture(panel: Panel, name: str, caption: str) -> Mapping[str, str]:
     """Return a picture with its caption and what stands for it where it cannot be seen."""
     fits = ', '.join(one.label for row in panel.residuals for one in row) or 'no fit'
     phases = ', '.join(phase.name for phase in panel.phases)
     return {
-        'svg': svg(panel, salt),
+        'svg': svg(panel),
         'alt': f'{panel.quantity} of {name} against time, measured and fitted ({fits}), with the '
         f'phases {phases}, and the residuals below.',
         'caption': caption,
