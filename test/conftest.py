@@ -15,7 +15,12 @@
 
 """What holds for all tests."""
 
+import os
 import signal
+
+# Read when numpy is imported, here and by the processes that tests start: the matrices are small,
+# and threads inside each product would only get into each other's way.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 # A shell that starts the tests in the background has them ignore SIGINT, and every process that a
 # test starts and interrupts would ignore it as well, and never end.
