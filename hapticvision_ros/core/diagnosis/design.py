@@ -150,7 +150,7 @@ def suggest(
         return None
     if second is None:
         separates: tuple[str, ...] = (name,)
-        reason = f'it makes the standard error of {name} smaller by a factor of {gain:.2g}'
+        reason = f'{name} is what these trials tell least of'
     else:
         separates = (_odd(first, second), _odd(second, first))
         reason = (

@@ -65,6 +65,8 @@ _LINE: Final = 1e-4
 """Chance below which a line in the residual's spectrum is looked at with every sample."""
 _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
 """Scatter of the trials that is tried where no push was repeated."""
+_TOO_MUCH: Final = 0.05
+"""Scatter without repeats from which on the trials differ by more than specimens of a kind do."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
 _OPEN: Final = 4
@@ -202,13 +204,12 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        if scatter is None:
-            found = self._unrepeated(bench, base, chosen)
-            if found is not None:
-                scattered = found
-                bench = plain.scattering(scattered)
-                base = bench.base(self.before)
-                chosen, rounds, order = self._select(bench, base, usual)
+        unrepeated = self._unrepeated(bench, chosen) if scatter is None else None
+        if unrepeated is not None:
+            scattered = np.full(3, unrepeated)
+            bench = plain.scattering(scattered)
+            base = bench.base(self.before)
+            chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
         rest = self._rest(bench, base, chosen, rounds)
         if rest and len(usual) < len(names):
@@ -229,6 +230,12 @@ class _Search:
                 # A model that is known to be wrong does not tell its effects from others well.
                 status = 'partly_explained'
                 named = [_widened(each) for each in sets]
+        unexplained = self._unexplained(bench, base, chosen, rest)
+        if unrepeated is not None and (order or unrepeated >= _TOO_MUCH):
+            # An effect of no library may hide in what stands in for scatter.
+            status = 'partly_explained' if order else 'unexplained'
+            if unexplained is None:
+                unexplained = self._differing(bench, plain, base, chosen, unrepeated)
         return _Outcome(
             status=status,
             effects=order,
@@ -236,7 +243,7 @@ class _Search:
             not_testable=(*hidden, LOAD_CELL_GAIN),
             look_alikes=pairs(bench, base, rounds[0].candidates, order),
             ranking=ranking,
-            unexplained=self._unexplained(bench, base, chosen, rest),
+            unexplained=unexplained,
             next_trial=self._next(bench, chosen, rounds, order),
             warnings=tuple(self.warnings),
             chosen=chosen,
@@ -284,7 +291,7 @@ class _Search:
         chosen, order = eliminate(bench, chosen, rounds)
         return chosen, rounds, order
 
-    def _unrepeated(self, bench: Workbench, base: Refit, chosen: Refit) -> FloatArray | None:
+    def _unrepeated(self, bench: Workbench, chosen: Refit) -> float | None:
         """
         Return the scatter that trials without repeats ask for, if they do.
 
@@ -304,7 +311,7 @@ class _Search:
             f'{100.0 * size:.2g} % from trial to trial: without repeats of the same push this '
             f'cannot be told from an effect'
         )
-        return np.full(3, size)
+        return size
 
     def _rest(
         self, bench: Workbench, base: Refit, chosen: Refit, rounds: Sequence[Round]
@@ -366,6 +373,23 @@ class _Search:
         return Unexplained(
             share_of_chi2=left**2 / (left**2 + taken**2),
             where=tuple(describe(found) for found in rest),
+        )
+
+    def _differing(
+        self, bench: Workbench, plain: Workbench, base: Refit, chosen: Refit, size: float
+    ) -> Unexplained | None:
+        """Return what only parameters that differ from trial to trial take out."""
+        alike = plain.refit(chosen.model, chosen)
+        if alike is None:
+            return None
+        left = strength(bench, chosen, alike)
+        taken = strength(bench, alike, base) if chosen.model.effects else 0.0
+        return Unexplained(
+            share_of_chi2=left**2 / (left**2 + taken**2),
+            where=(
+                f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
+                f'{100.0 * size:.2g} % from trial to trial: scatter, or an effect',
+            ),
         )
 
 
