@@ -24,6 +24,7 @@ import argparse
 from collections.abc import Sequence
 import contextlib
 from dataclasses import replace
+import gc
 import json
 import os
 from pathlib import Path
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 _MOST_NAMED: Final = 5
 _CLEAR_LINE: Final = '\r\x1b[K'
+_NEW_OBJECTS: Final = 100_000
 
 
 class Progress:
@@ -121,6 +123,8 @@ def run(args: argparse.Namespace) -> int:
     # The matrices are small: threads inside each product would only get into each other's way.
     for variable in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
         os.environ.setdefault(variable, '1')
+    # Half the start is imports, and what they make stays: no use in searching it for garbage.
+    gc.set_threshold(_NEW_OBJECTS)
     model = None
     if args.model is not None:
         from hapticvision_ros.core.composition import Model

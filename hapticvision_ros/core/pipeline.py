@@ -338,7 +338,6 @@ def _left_out(
     """Return each trial beside what models say of it that have not seen it."""
     from collections.abc import Collection
 
-    from hapticvision_ros.core.diagnosis.search import choose_again
     from hapticvision_ros.core.fit.held_out import (
         leave_one_condition_out,
         prepared_of,
@@ -349,6 +348,8 @@ def _left_out(
     def refit(left_out: Collection[int]) -> list[Trained]:
         trained = [refit_without(one, trials, left_out) for one in fits]
         if diagnosis is not None and len(fits) > 1:
+            from hapticvision_ros.core.diagnosis.search import choose_again
+
             names = {trials[index].trial.name for index in left_out}
             chosen = choose_again(diagnosis, names)
             if chosen is not None and trained[-1] is not None:

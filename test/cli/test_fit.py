@@ -60,6 +60,24 @@ def test_a_measured_trial_gives_a_table_a_result_and_a_report(
     assert sorted(path.name for path in out.iterdir()) == ['report.html', 'result.json']
 
 
+def test_a_fit_of_a_fixed_model_imports_only_what_it_needs(tmp_path: Path) -> None:
+    # Each of these takes a tenth of a second to a whole one.
+    heavy = (
+        'cv2 matplotlib pandas rclpy scipy.integrate scipy.optimize scipy.signal scipy.stats '
+        'hapticvision_ros.core.diagnosis.search'
+    )
+    code = (
+        'import sys\n'
+        'from hapticvision_ros.cli.main import main\n'
+        'code = main(sys.argv[2:])\n'
+        'print("imported:", *set(sys.argv[1].split()) & set(sys.modules))\n'
+        'sys.exit(code)\n'
+    )
+    command = [sys.executable, '-c', code, heavy, 'fit', str(SOFT[0]), '--out', str(tmp_path)]
+    done = subprocess.run([*command, *BASE], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == 'imported:'
+
+
 def test_the_printed_units_change_and_the_file_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
