@@ -211,11 +211,13 @@ class _Search:
             base = bench.base(self.before)
             chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
+        base = rounds[0].without
         rest = self._rest(bench, base, chosen, rounds)
         if rest and len(usual) < len(names):
             again = self._select(bench, base, names)
             if again[0].deviance < chosen.deviance - LEAD:
                 chosen, rounds, order = again
+                base = rounds[0].without
                 rest = self._rest(bench, base, chosen, rounds)
         ranking = self._ranking(bench, base, rounds[0])
         sets = [each for each in rounds if each.alike and each.alike[0] in order]

@@ -30,7 +30,7 @@ very strong evidence, one of six strong).
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Final
 
@@ -44,7 +44,7 @@ GATE: Final = 6.0
 """Gain in Schwarz's criterion from which on an effect is there."""
 LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
-WEAKEST: Final = 0.04
+WEAKEST: Final = 0.05
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
@@ -140,13 +140,14 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
     Return whether an effect only draws jumps of the force out over less than a sample.
 
     How a load cell takes its samples, and how exactly the moments are known at which the tool
-    starts and stops, does the same.
+    starts and stops, does the same: the sample is that of the slower of the two.
     """
     time_constant = BY_NAME[effect].time_constant
     if time_constant is None:
         return False
     values = dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
-    return time_constant(values) < bench.trials[0].interval
+    trial = bench.trials[0]
+    return time_constant(values) < max(trial.interval, trial.path.interval)
 
 
 def try_all(
@@ -273,14 +274,14 @@ def select(
             progress=progress,
         )
         weakest = max(WEAKEST, _SECONDARY * strongest)
-        good = [
-            each
-            for each in tried
-            if each.gain > GATE
-            and each.strength > weakest
-            and each.refit is not None
-            and not fleeting(bench, each.refit, each.effect)
-        ]
+        good = _good(bench, tried, weakest)
+        if good and good[0].refit is not None:
+            # What the search for the larger model has found may serve the smaller one as well.
+            closer = bench.refit(current.model, good[0].refit)
+            if closer is not None and closer.deviance < current.deviance:
+                tried = _against(tried, current, closer)
+                current = closer
+                good = _good(bench, tried, weakest)
         if not good or good[0].refit is None:
             rounds.append(Round(current, tried, ()))
             break
@@ -290,6 +291,26 @@ def select(
         strongest = max(strongest, leader.strength)
         current = good[0].refit
     return current, tuple(rounds)
+
+
+def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[Trialled]:
+    """Return the candidates that may be accepted, best first."""
+    return [
+        each
+        for each in tried
+        if each.gain > GATE
+        and each.strength > weakest
+        and each.refit is not None
+        and not fleeting(bench, each.refit, each.effect)
+    ]
+
+
+def _against(tried: Sequence[Trialled], old: Refit, new: Refit) -> tuple[Trialled, ...]:
+    """Return the candidates beside a better fit of the model without them."""
+    less = old.deviance - new.deviance
+    return tuple(
+        replace(each, score=max(each.score - less, 0.0), gain=each.gain - less) for each in tried
+    )
 
 
 def eliminate(

@@ -48,6 +48,8 @@ _PATH_SIGMAS: Final = 5.0
 _LEFT_SIGMAS: Final = 6.0
 _MORE_CORNERS: Final = 24
 """Corners that a path gets where it leaves the samples, before it goes through all of them."""
+_SHORTEST: Final = 4
+"""Fewer samples between two that the path goes through have no line of their own."""
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _CORNER_SAMPLES: Final = 16
@@ -110,6 +112,8 @@ class ToolPath:
         Standard deviation of a sample of the encoders about the path [m].
     bends : tuple of Bend
         Corners at which the tool changes its speed over a finite time.
+    interval : float
+        Usual interval between two samples of the encoders [s].
 
     """
 
@@ -117,6 +121,7 @@ class ToolPath:
     displacement: FloatArray
     noise: float
     bends: tuple['Bend', ...] = ()
+    interval: float = 0.0
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -631,6 +636,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         np.concatenate((before[1], levels, after[1])),
         noise,
         bends,
+        float(np.median(np.diff(t))),
     )
 
 
@@ -745,7 +751,12 @@ def _bend(
 def _followed(
     t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the path through the samples themselves wherever it would leave them."""
+    """
+    Return the path with more corners, or through the samples themselves, where it leaves them.
+
+    A tool that changes its speed within a few samples is followed by no line; the pieces on both
+    sides are then those of least squares by themselves.
+    """
     for _ in range(_MORE_CORNERS):
         away = np.abs(value - np.interp(t, knots, levels))
         far = int(np.argmax(away))
@@ -756,19 +767,36 @@ def _followed(
         if again.size == knots.size:
             break
         knots, levels = again, new_levels
-    left = np.abs(value - np.interp(t, knots, levels)) > _LEFT_SIGMAS * noise
-    if not left.any():
-        return knots, levels
-    left[1:] |= left[:-1].copy()
-    left[:-1] |= left[1:].copy()
-    replaced = np.zeros(knots.size, dtype=np.bool_)
-    for first, last in runs(left):
-        replaced |= (knots >= t[first]) & (knots <= t[last - 1])
-    replaced[[0, -1]] = False
-    all_t = np.concatenate((knots[~replaced], t[left]))
-    all_levels = np.concatenate((levels[~replaced], value[left]))
-    order = np.unique(all_t, return_index=True)[1]
-    return all_t[order], all_levels[order]
+    corners = knots
+    own = np.zeros(t.size, dtype=np.bool_)
+    for _ in range(_MOST_PIECES):
+        away = np.abs(value - np.interp(t, knots, levels))
+        far = int(np.argmax(away))
+        if away[far] <= _LEFT_SIGMAS * noise:
+            break
+        own[max(far - 1, 0) : far + 2] = True
+        knots, levels = _through(t, value, corners, own)
+    return knots, levels
+
+
+def _through(
+    t: FloatArray, value: FloatArray, corners: FloatArray, own: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the path through some samples, and by least squares between these."""
+    all_t, all_levels = [t[own]], [value[own]]
+    for first, last in runs(~own):
+        if last - first < _SHORTEST:
+            all_t.append(t[first:last])
+            all_levels.append(value[first:last])
+            continue
+        piece = t[first:last]
+        inside = corners[(corners > piece[0]) & (corners < piece[-1])]
+        found = _levels(piece, value[first:last], np.concatenate((piece[:1], inside, piece[-1:])))
+        all_t.append(found[0])
+        all_levels.append(found[1])
+    knots, levels = np.concatenate(all_t), np.concatenate(all_levels)
+    order = np.argsort(knots)
+    return knots[order], levels[order]
 
 
 def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:

@@ -67,6 +67,22 @@ def test_clean_encoders_are_followed_exactly() -> None:
     np.testing.assert_allclose(path.at(t[inside]), wavy[inside], atol=1e-9)
 
 
+def test_a_quick_withdrawal_between_slow_samples_does_not_bend_the_hold() -> None:
+    """The arm is at 20 mm/s after two samples of 50 Hz: no line, and no acceleration, is seen."""
+    t = np.arange(0.0, 20.0, 0.02)
+    bent = _tool(t, CORNERS[:2], DEPTHS[:2])
+    since = np.maximum(t - 13.0, 0.0)
+    bent -= np.where(since < 0.04, 0.25 * since**2, 0.02 * (since - 0.02))
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(t.size)
+    path = tool_path(Signal(t, bent + noise), PHASES)
+    still = np.linspace(3.1, 12.9, 500)
+    # Each step of the encoders' noise would be a speed of 50 um/s.
+    assert np.abs(np.diff(path.at(still)) / np.diff(still)).max() < 1e-6
+    inside = bent > 0.0
+    assert np.abs(path.at(t[inside]) - bent[inside]).max() < 6e-6
+    assert path.interval == pytest.approx(0.02)
+
+
 def _trial() -> Trial:
     t = np.arange(0.0, 20.0, 0.001)
     force = np.where((t > 1.0) & (t < 13.0), 5.0, 0.0)

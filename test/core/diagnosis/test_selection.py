@@ -1,0 +1,35 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Which effects are accepted."""
+
+from dataclasses import replace
+from typing import Any
+
+from hapticvision_ros.core.diagnosis.selection import select
+
+
+def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
+    """A base model that has not come to its best loses to any model that starts from it."""
+    bench, base = world.measure(world.campaign(world.four[:2]), seed=1).bench()
+    state = base.state.copy()
+    state[0] += 0.01
+    worse = 60.0
+    poor = replace(base, state=state, cost=base.cost + worse, deviance=base.deviance + worse)
+    chosen, rounds = select(bench, poor, ['friction', 'contact_growth'])
+    assert chosen.model.effects == ()
+    assert chosen.deviance < base.deviance + 1.0
+    assert [each.alike for each in rounds] == [()]
+    assert all(each.gain < 0.5 * worse for each in rounds[0].candidates)
