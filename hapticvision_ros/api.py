@@ -222,6 +222,7 @@ def export(
         poisson=poisson,
         shortest_time=shortest_time,
         point=point,
+        correlation=result.correlation,
     )
 
 

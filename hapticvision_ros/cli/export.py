@@ -32,7 +32,7 @@ from hapticvision_ros.core.units import AREA_UNITS, LENGTH_UNITS
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.export import Specimen
-    from hapticvision_ros.core.records import Estimate
+    from hapticvision_ros.core.records import Estimate, FloatArray
 
 FORMATS = ('json', 'csv', 'abaqus', 'ansys', 'mujoco')
 POINTS = ('rest', 'reference')
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the result and write the export."""
     specimen = _specimen(args)
-    model, parameters = _fitted(args.result, args.which)
+    model, parameters, correlation = _fitted(args.result, args.which)
     from hapticvision_ros.core.export import export
 
     text = export(
@@ -95,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
         poisson=args.poisson,
         shortest_time=args.shortest_time,
         point=args.linearise,
+        correlation=correlation,
         source=args.result.name,
     )
     if args.out is None:
@@ -135,8 +136,10 @@ def _quantity(
     return float(match[1] + (match[2] or '')) * units[unit]
 
 
-def _fitted(path: Path, which: str | None) -> 'tuple[Model, dict[str, Estimate]]':
-    """Return the model of a result and its parameters."""
+def _fitted(
+    path: Path, which: str | None
+) -> 'tuple[Model, dict[str, Estimate], FloatArray | None]':
+    """Return the model of a result, its parameters, and how their errors go together."""
     from hapticvision_ros.core.composition import Model
 
     result = _read(path)
@@ -146,10 +149,11 @@ def _fitted(path: Path, which: str | None) -> 'tuple[Model, dict[str, Estimate]]
         raise UsageError(f"{path} has no model '{chosen}': leave --which away.")
     try:
         model = Model.parse(fitted['model'])
-        return model, {
+        parameters = {
             name: _estimate(name, fitted['parameters'][name], result['warnings'])
             for name in model.names
         }
+        return model, parameters, _correlation(fitted.get('correlation'), len(parameters))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path} does not hold the parameters of its model '{chosen}' ({error}): write it "
@@ -169,6 +173,20 @@ def _estimate(name: str, entry: Mapping[str, Any], warnings: list[str]) -> 'Esti
     told = [text for text in warnings if re.search(rf'\b{re.escape(name)}\b', text)]
     reason = told[0].partition('unknown: ')[2] if told else ''
     return Estimate.unknown(reason or 'the trials do not tell it')
+
+
+def _correlation(rows: list[list[float | None]] | None, size: int) -> 'FloatArray | None':
+    """Return the correlation of the parameters; None from a result that does not hold it."""
+    if rows is None:
+        return None
+    import numpy as np
+
+    matrix = np.array([[math.nan if one is None else float(one) for one in row] for row in rows])
+    if matrix.shape != (size, size) or not np.all(
+        np.isnan(matrix) | (np.abs(matrix) <= 1.0 + 1e-9)
+    ):
+        raise ValueError('correlation')
+    return matrix
 
 
 def _read(path: Path) -> dict[str, Any]:

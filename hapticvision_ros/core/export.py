@@ -32,13 +32,13 @@ from dataclasses import dataclass
 from itertools import batched
 import json
 import math
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from hapticvision_ros.core.composition import BASE, BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.chain import Slot
-from hapticvision_ros.core.records import Estimate
+from hapticvision_ros.core.records import Estimate, FloatArray
 from hapticvision_ros.core.relaxation import (
     linear_chain,
     Point,
@@ -46,6 +46,7 @@ from hapticvision_ros.core.relaxation import (
     PronySeries,
     relaxation_function,
     RelaxationFunction,
+    standard_errors,
 )
 import numpy as np
 
@@ -69,6 +70,10 @@ _LAWS: Final = (
 )
 """Effects that a link with constant numbers cannot hold."""
 _DIGITS: Final = 10
+_NO_CORRELATION: Final = (
+    'how the errors of the parameters go together is not known: write the result anew with '
+    'hapticvision fit'
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,6 +296,7 @@ def document(
     parameters: Mapping[str, Estimate],
     specimen: Specimen | None = None,
     point: Point | None = None,
+    correlation: FloatArray | None = None,
 ) -> dict[str, Any]:
     """
     Return all forms of a fitted model, as JSON holds them.
@@ -305,6 +311,9 @@ def document(
         What was pressed; without it there are no quantities of the material.
     point : {'rest', 'reference'}, optional
         Where a nonlinear model is linearised for its relaxation function.
+    correlation : ndarray, shape (p, p), optional
+        Of the parameters, in the order of the model; the relaxation function has no standard
+        errors without it.
 
     Returns
     -------
@@ -344,15 +353,31 @@ def document(
     except UsageError as error:
         result['reasons']['relaxation'] = str(error)
         return result
+    covariance = covariance_of(model, parameters, correlation)
+    spread = _spread(model, values, covariance, point)
     result['relaxation'] = {
         'linearised_at': point,
         'long_term_N_m': relaxation.long_term,
+        'long_term_std_N_m': _known(spread.long_term),
         'impulse_Ns_m': relaxation.impulse,
+        'impulse_std_Ns_m': _known(spread.impulse),
         'terms': [
-            {'stiffness_N_m': stiffness, 'relaxation_time_s': time}
-            for stiffness, time in _terms(relaxation)
+            {
+                'stiffness_N_m': stiffness,
+                'stiffness_std_N_m': _known(of_stiffness),
+                'relaxation_time_s': time,
+                'relaxation_time_std_s': _known(of_time),
+            }
+            for (stiffness, time), of_stiffness, of_time in zip(
+                _terms(relaxation),
+                spread.stiffness.tolist(),
+                spread.relaxation_time.tolist(),
+                strict=True,
+            )
         ],
     }
+    if not spread.complete:
+        result['reasons']['relaxation_std'] = _why_unknown(model, parameters, correlation)
     return result
 
 
@@ -371,19 +396,129 @@ def _terms(relaxation: RelaxationFunction) -> list[tuple[float, float]]:
     )
 
 
-def csv(relaxation: RelaxationFunction) -> str:
+class Spread(NamedTuple):
+    """
+    Standard errors of a relaxation function; not a number where they are unknown.
+
+    Parameters
+    ----------
+    long_term, impulse : float
+        Of the spring [N/m] and of the dashpot [N.s/m].
+    stiffness, relaxation_time, viscosity : ndarray, shape (n,)
+        Of the branches [N/m, s, N.s/m].
+
+    """
+
+    long_term: float
+    impulse: float
+    stiffness: FloatArray
+    relaxation_time: FloatArray
+    viscosity: FloatArray
+
+    @property
+    def complete(self) -> bool:
+        """Return whether all of them are known."""
+        return bool(np.all(np.isfinite(np.concatenate([np.atleast_1d(one) for one in self]))))
+
+
+def covariance_of(
+    model: Model, parameters: Mapping[str, Estimate], correlation: FloatArray | None
+) -> FloatArray:
+    """
+    Return the covariance of the parameters of a model.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to Estimate
+        Its p parameters in SI units, by name.
+    correlation : ndarray, shape (p, p), or None
+        Of them, in the order of the model; None where it is not known.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        Not a number where it is unknown.
+
+    """
+    std = [parameters[name].std for name in model.names]
+    known = np.array([math.nan if one is None else one for one in std])
+    if correlation is None:
+        return np.full((known.size, known.size), math.nan)
+    return np.asarray(correlation * np.outer(known, known), dtype=np.float64)
+
+
+def _why_unknown(
+    model: Model, parameters: Mapping[str, Estimate], correlation: FloatArray | None
+) -> str:
+    """Return why some standard errors are not known."""
+    if correlation is None:
+        return _NO_CORRELATION
+    without = [name for name in model.names if parameters[name].std is None]
+    if without:
+        return f'the standard error of {", ".join(without)} is not known'
+    return 'the number of terms changes with the parameters'
+
+
+def _spread(
+    model: Model, values: Mapping[str, float], covariance: FloatArray, point: Point | None
+) -> Spread:
+    """Return the standard errors of a relaxation function."""
+
+    def numbers(parameters: Mapping[str, float]) -> FloatArray:
+        one = relaxation_function(model, parameters, point)
+        viscosity = one.stiffness * one.relaxation_time
+        return np.concatenate(
+            ([one.long_term, one.impulse], one.stiffness, one.relaxation_time, viscosity)
+        )
+
+    std = standard_errors(numbers, values, covariance)
+    return Spread(float(std[0]), float(std[1]), *np.split(std[2:], 3))
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def csv(relaxation: RelaxationFunction, spread: Spread | None = None) -> str:
     """
     Return a relaxation function as a table.
 
     A row is a spring (no time), a dashpot (no stiffness) or a Maxwell branch; all stand side by
     side.
+
+    Parameters
+    ----------
+    relaxation : RelaxationFunction
+        The function.
+    spread : Spread, optional
+        Its standard errors; their columns are empty where they are unknown.
+
+    Returns
+    -------
+    str
+        Comma-separated values with a header.
+
     """
-    rows = ['stiffness_N_m,viscosity_Ns_m,relaxation_time_s']
+
+    def row(*numbers: float | None) -> str:
+        return ','.join('' if one is None else repr(one) for one in numbers)
+
+    count = relaxation.stiffness.size
+    unknown = np.full(count, math.nan)
+    std = spread or Spread(math.nan, math.nan, unknown, unknown, unknown)
+    rows = [
+        'stiffness_N_m,viscosity_Ns_m,relaxation_time_s,'
+        'stiffness_std_N_m,viscosity_std_Ns_m,relaxation_time_std_s'
+    ]
     if relaxation.long_term > 0.0:
-        rows.append(f'{relaxation.long_term!r},,')
+        rows.append(row(relaxation.long_term, None, None, _known(std.long_term), None, None))
     if relaxation.impulse > 0.0:
-        rows.append(f',{relaxation.impulse!r},')
-    rows += [f'{K!r},{K * T!r},{T!r}' for K, T in _terms(relaxation)]
+        rows.append(row(None, relaxation.impulse, None, None, _known(std.impulse), None))
+    for number, (stiffness, time) in enumerate(_terms(relaxation)):
+        errors = (std.stiffness[number], std.viscosity[number], std.relaxation_time[number])
+        rows.append(row(stiffness, stiffness * time, time, *map(_known, errors)))
     return '\n'.join(rows) + '\n'
 
 
@@ -462,6 +597,20 @@ def _remarks(series: PronySeries) -> Iterator[str]:
     yield 'SI units: Pa, s'
     if series.long_term_ratio < 10.0**-_DIGITS:
         yield 'the body flows: the ratios add up to 1, and no modulus is left in the long run'
+
+
+def _errors_told(series: PronySeries, std: FloatArray) -> Iterator[str]:
+    """Give the standard errors of a series: of its modulus, its ratios and its times."""
+    if math.isfinite(std[0]):
+        yield f'instantaneous modulus {series.instantaneous:.6g} +- {std[0]:.2g} Pa'
+    of_ratio, of_time = np.split(std[1:], 2)
+    terms = zip(series.ratio, of_ratio, series.relaxation_time, of_time, strict=True)
+    for number, (ratio, ratio_std, time, time_std) in enumerate(terms, 1):
+        if math.isfinite(ratio_std) and math.isfinite(time_std):
+            yield (
+                f'term {number}: ratio {ratio:.6g} +- {ratio_std:.2g}, '
+                f'time {time:.6g} +- {time_std:.2g} s'
+            )
 
 
 def _printed(series: PronySeries) -> list[tuple[str, float]]:
@@ -551,6 +700,7 @@ def export(
     poisson: float | None = None,
     shortest_time: float | None = None,
     point: Point | None = None,
+    correlation: FloatArray | None = None,
     source: str = 'hapticvision_ros',
 ) -> str:
     """
@@ -573,6 +723,8 @@ def export(
         See `hapticvision_ros.core.relaxation.prony_series` [s].
     point : {'rest', 'reference'}, optional
         Where a nonlinear model is linearised.
+    correlation : ndarray, shape (p, p), optional
+        Of the parameters, in the order of the model, for the standard errors of the terms.
     source : str
         What to name as the source of a Prony series.
 
@@ -588,14 +740,15 @@ def export(
 
     """
     if form == 'json':
-        whole = document(model, parameters, specimen, point)
+        whole = document(model, parameters, specimen, point, correlation)
         return json.dumps(whole, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
     values = known_values(model, parameters)
     if form == 'mujoco':
         return mujoco(model, values)
     relaxation = relaxation_function(model, values, point)
+    covariance = covariance_of(model, parameters, correlation)
     if form == 'csv':
-        return csv(relaxation)
+        return csv(relaxation, _spread(model, values, covariance, point))
     if specimen is None or poisson is None:
         raise UsageError(
             f"{form} needs area and height of the specimen and Poisson's ratio: it works with "
@@ -607,4 +760,15 @@ def export(
         remarks.append(f'linearised at: {point}')
     if relaxation.impulse > 0.0:
         remarks.append(f'nothing faster than {shortest_time:g} s is resolved')
+
+    def numbers(changed: Mapping[str, float]) -> FloatArray:
+        one = prony_series(
+            relaxation_function(model, changed, point), shortest_time, specimen.modulus
+        )
+        return np.concatenate(([one.instantaneous], one.ratio, one.relaxation_time))
+
+    std = standard_errors(numbers, values, covariance)
+    remarks += _errors_told(series, std)
+    if not np.all(np.isfinite(std)):
+        remarks.append(f'standard errors: {_why_unknown(model, parameters, correlation)}')
     return (abaqus if form == 'abaqus' else ansys)(series, poisson, remarks)

@@ -80,6 +80,8 @@ _NOT_AT_REST: Final = {
 _SAME: Final = 1e-12
 """Relative difference below which two retardation rates are one."""
 _DIGITS: Final = 4.0 * np.finfo(np.float64).eps
+_STEP: Final = 1e-4
+"""Share of a parameter by which it is moved for a slope: errors of 1e-8 in standard errors."""
 _MOST_ITERATIONS: Final = 2000
 """Enough to halve the way between two rates that are 600 powers of ten apart."""
 
@@ -289,6 +291,46 @@ def prony_series(
     return PronySeries(
         scale * instantaneous, relaxation.stiffness / instantaneous, relaxation.relaxation_time
     )
+
+
+def standard_errors(
+    numbers: Callable[[Mapping[str, float]], FloatArray],
+    parameters: Mapping[str, float],
+    covariance: FloatArray,
+) -> FloatArray:
+    """
+    Return the standard errors of what is computed from parameters, to first order.
+
+    Parameters
+    ----------
+    numbers : callable
+        Takes the parameters, and returns an array of shape (m,).
+    parameters : mapping of str to float
+        The q parameters, in SI units.
+    covariance : ndarray, shape (q, q)
+        Of them; not a number where it is unknown.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Not a number where an error matters that is unknown, and everywhere if there are more or
+        fewer numbers when a parameter is a little different.
+
+    """
+    size = numbers(parameters).size
+    std = np.sqrt(np.diag(covariance))
+    known = np.isfinite(std)
+    slopes = np.zeros((len(parameters), size))
+    for row, (name, value) in enumerate(parameters.items()):
+        step = _STEP * (abs(value) or (float(std[row]) if known[row] else 0.0) or 1.0)
+        ahead, behind = (numbers({**parameters, name: value + one}) for one in (step, -step))
+        if ahead.size != size or behind.size != size:
+            return np.full(size, math.nan)
+        slopes[row] = (ahead - behind) / (2.0 * step)
+    spread = covariance[np.ix_(known, known)]
+    variance = np.einsum('im,ij,jm->m', slopes[known], spread, slopes[known])
+    lost = np.any(slopes[~known] != 0.0, axis=0)
+    return np.where(lost, math.nan, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def linear_chain(model: Model, parameters: Mapping[str, float]) -> Draft:

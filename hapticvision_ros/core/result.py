@@ -150,6 +150,9 @@ def _model(fitted: FittedModel, names: Mapping[str, Mapping[str, str]]) -> dict[
             }
             for name, estimate in fitted.parameters.items()
         },
+        'correlation': None
+        if fitted.fit is None
+        else [[_number(one) for one in row] for row in fitted.fit.correlation.tolist()],
         'error': {
             **{side: None if of is None else _error(of.total) for side, of in sides.items()},
             'percent_of_range': {

@@ -75,6 +75,26 @@ def test_the_better_model_is_exported_with_its_errors(
     assert document['material']['F_y']['value'] == 3e3
 
 
+def test_terms_have_errors_where_the_result_tells_how_those_of_the_parameters_go_together(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = (result, '--format', 'json', '--linearise', 'reference')
+    without = json.loads(_export(capsys, *asked))
+    assert without['relaxation']['terms'][0]['stiffness_std_N_m'] is None
+    assert 'hapticvision fit' in without['reasons']['relaxation_std']
+    document = json.loads(result.read_text())
+    document['after']['correlation'] = [[float(i == j) for j in range(4)] for i in range(4)]
+    result.write_text(json.dumps(document))
+    told = json.loads(_export(capsys, *asked))
+    # T = (C1 + C2) / K1 = 2 s.
+    error = 2.0 * ((20.0 / 2000.0) ** 2 + (8.0**2 + 12.0**2) / 4000.0**2) ** 0.5
+    assert told['relaxation']['terms'][0]['relaxation_time_std_s'] == pytest.approx(error)
+    document['after']['correlation'] = [[1.0]]
+    result.write_text(json.dumps(document))
+    assert main(['export', *map(str, asked)]) == 2
+    assert 'correlation' in capsys.readouterr().err
+
+
 def test_the_size_may_come_in_si(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
     same = ['--area', '2e-3', '--height', '0.04']
     texts = [_export(capsys, result, '--format', 'json', *size) for size in (SIZE, same)]

@@ -14,6 +14,7 @@
 
 """Exports: the same numbers come back out of each format, in units of the material."""
 
+import re
 import xml.etree.ElementTree as ElementTree
 
 from hapticvision_ros.core.composition import Model
@@ -24,6 +25,7 @@ from hapticvision_ros.core.export import (
     ansys,
     csv,
     document,
+    export,
     links,
     material_quantities,
     mujoco,
@@ -185,12 +187,97 @@ def test_the_table_adds_up_to_the_relaxation_function() -> None:
         line.split(',')
         for line in csv(relaxation_function(model, _values(parameters))).splitlines()[1:]
     ]
+    # The errors of the parameters alone do not tell those of the terms.
+    assert all(row[3:] == ['', '', ''] for row in rows)
+    rows = [row[:3] for row in rows]
     assert rows[0] == ['50.0', '', '']
     assert rows[1][0] == rows[1][2] == ''
     assert float(rows[1][1]) == pytest.approx(960.0)
     stiffness, viscosity, time = map(float, rows[2])
     assert viscosity == pytest.approx(stiffness * time)
     assert (stiffness, time) == pytest.approx((720.0, 2.0))
+
+
+TOLD = DOUGH | {'C2': Estimate(2400.0, 36.0)}
+TOGETHER = np.array([[1.0, 0.3, -0.2], [0.3, 1.0, -0.8], [-0.2, -0.8, 1.0]])
+
+
+def test_errors_of_the_terms_follow_from_the_closed_form_and_the_correlation() -> None:
+    K1, C1, C2 = (TOLD[name].value for name in ('K1', 'C1', 'C2'))
+    std = np.array([20.0, 8.0, 36.0])
+    covariance = TOGETHER * np.outer(std, std)
+    total = C1 + C2
+    # K = K1 C2^2 / (C1 + C2)^2, T = (C1 + C2) / K1, eta = C1 C2 / (C1 + C2), differentiated.
+    slopes = {
+        'stiffness': (C2**2 / total**2, -2 * K1 * C2**2 / total**3, 2 * K1 * C1 * C2 / total**3),
+        'time': (-total / K1**2, 1.0 / K1, 1.0 / K1),
+        'impulse': (0.0, C2**2 / total**2, C1**2 / total**2),
+    }
+    expected = {name: np.sqrt(slope @ covariance @ slope) for name, slope in slopes.items()}
+    found = document(Model(), TOLD, correlation=TOGETHER)
+    assert 'relaxation_std' not in found['reasons']
+    (term,) = found['relaxation']['terms']
+    assert term['stiffness_std_N_m'] == pytest.approx(expected['stiffness'], rel=1e-6)
+    assert term['relaxation_time_std_s'] == pytest.approx(expected['time'], rel=1e-6)
+    assert found['relaxation']['impulse_std_Ns_m'] == pytest.approx(expected['impulse'], rel=1e-6)
+    assert found['relaxation']['long_term_std_N_m'] == 0.0
+    # C1 and C2 err against each other, so that their sum is known better than either alone.
+    (alone,) = document(Model(), TOLD, correlation=np.eye(3))['relaxation']['terms']
+    assert term['relaxation_time_std_s'] < 0.99 * alone['relaxation_time_std_s']
+
+
+def test_errors_of_a_spectrum_are_those_of_drawn_parameters() -> None:
+    parameters = TOLD | {'K_0': Estimate(8000.0, 80.0), 'K_p': Estimate(50.0, 1.0)}
+    together = np.eye(5)
+    together[:3, :3] = TOGETHER
+    together[0, 3] = together[3, 0] = -0.5
+    found = document(BURGERS_MODEL, parameters, correlation=together)['relaxation']
+    values = np.array([parameters[name].value for name in BURGERS_MODEL.names])
+    std = np.array([parameters[name].std for name in BURGERS_MODEL.names])
+    drawn = np.random.default_rng(0).multivariate_normal(
+        values, together * np.outer(std, std), size=2000
+    )
+    terms = []
+    for one in drawn:
+        given = dict(zip(BURGERS_MODEL.names, one.tolist(), strict=True))
+        relaxation = relaxation_function(BURGERS_MODEL, given)
+        terms.append((*relaxation.stiffness, *relaxation.relaxation_time, relaxation.long_term))
+    told = [term['stiffness_std_N_m'] for term in found['terms']]
+    told += [term['relaxation_time_std_s'] for term in found['terms']]
+    # The spread of 2000 draws is known to 1.6 %.
+    assert [*told, found['long_term_std_N_m']] == pytest.approx(np.std(terms, axis=0), rel=0.06)
+
+
+def test_finite_element_files_tell_the_errors_of_what_they_hold() -> None:
+    text = export(
+        'abaqus',
+        Model(),
+        TOLD,
+        specimen=BLOCK,
+        poisson=0.45,
+        shortest_time=0.01,
+        correlation=TOGETHER,
+    )
+    remarks = [line for line in text.splitlines() if line.startswith('** ')]
+    # The dashpot C1 C2 / (C1 + C2) = 960 N.s/m in 0.01 s is nearly all of the modulus.
+    (modulus,) = [line for line in remarks if 'instantaneous modulus' in line]
+    value, error = re.search(r'modulus (\S+) \+- (\S+) Pa', modulus).groups()
+    covariance = TOGETHER * np.outer((20.0, 8.0, 36.0), (20.0, 8.0, 36.0))
+    slope = np.array([0.0, 0.36, 0.16]) / 0.01 + (0.36, -2 * 0.18, 2 * 0.12)
+    assert float(value) == pytest.approx(20.0 * (96_000.0 + 720.0))
+    assert float(error) == pytest.approx(20.0 * np.sqrt(slope @ covariance @ slope), rel=0.05)
+    # The time that the user has named has no error.
+    (chosen,) = [line for line in remarks if line.startswith('** term 2')]
+    assert chosen.endswith('time 0.01 +- 0 s')
+    unknown = export('ansys', Model(), TOLD, specimen=BLOCK, poisson=0.45, shortest_time=0.01)
+    assert '! standard errors: how the errors' in unknown
+    assert '+-' not in unknown
+
+
+def test_an_error_that_is_not_known_is_told_by_name() -> None:
+    found = document(Model(), DOUGH, correlation=TOGETHER)
+    assert found['relaxation']['terms'][0]['stiffness_std_N_m'] is None
+    assert found['reasons']['relaxation_std'] == 'the standard error of C2 is not known'
 
 
 def test_links_in_series_have_the_compliance_of_the_chain() -> None:
@@ -254,7 +341,8 @@ def test_the_document_says_why_a_nonlinear_body_has_no_relaxation_function() -> 
     assert 'yield_force' in refused['reasons']['relaxation']
     assert 'not given' in refused['reasons']['material']
     assert refused['links']['in_series'][-1]['dry_friction_N'] == 6.0
-    at_rest = document(model, parameters, BLOCK, 'rest')
+    # C2 does not flow at rest: that its error is unknown is of no importance.
+    at_rest = document(model, parameters, BLOCK, 'rest', np.eye(4))
     assert at_rest['relaxation']['linearised_at'] == 'rest'
     assert at_rest['relaxation']['long_term_N_m'] == pytest.approx(2000.0)
     assert at_rest['reasons'] == {}

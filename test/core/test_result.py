@@ -132,7 +132,11 @@ def _numbers(node: Any) -> list[float]:
 
 def _check_model(model: Any, names: set[str]) -> None:
     """Compare the entry of a model with the contract."""
-    assert set(model) == {'model', 'parameters', 'error'}
+    assert set(model) == {'model', 'parameters', 'correlation', 'error'}
+    assert np.shape(model['correlation']) == 2 * (len(model['parameters']),)
+    for row, parameter in enumerate(model['parameters'].values()):
+        told = model['correlation'][row][row]
+        assert told is None if parameter['value'] is None else told == pytest.approx(1.0)
     assert set(model['parameters']) == names
     for parameter in model['parameters'].values():
         assert set(parameter) == PARAMETER_KEYS
