@@ -46,6 +46,10 @@ LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
 WEAKEST: Final = 0.05
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
+_TURNS: Final = 5.0
+"""What comes again does so at least this often in each trial."""
+_FLEETING: Final = 3.0
+"""How much stronger it must be where it only draws jumps out over less than a sample."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
 _MOST: Final = 3
@@ -145,9 +149,23 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
     time_constant = BY_NAME[effect].time_constant
     if time_constant is None:
         return False
-    values = dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
     trial = bench.trials[0]
-    return time_constant(values) < max(trial.interval, trial.path.interval)
+    return time_constant(_values(refit)) < max(trial.interval, trial.path.interval)
+
+
+def seldom(bench: Workbench, refit: Refit, effect: str) -> bool:
+    """Return whether an effect that comes again does so too seldom in a trial to be one."""
+    period = BY_NAME[effect].period
+    if period is None:
+        return False
+    shortest = min(float(trial.t[-1] - trial.t[0]) for trial in bench.trials)
+    # A slow sine follows anything that is smooth.
+    return period(_values(refit)) > shortest / _TURNS
+
+
+def _values(refit: Refit) -> dict[str, float]:
+    """Return the parameters of a model by name."""
+    return dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
 
 
 def try_all(
@@ -298,10 +316,11 @@ def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[T
     return [
         each
         for each in tried
-        if each.gain > GATE
-        and each.strength > weakest
-        and each.refit is not None
-        and not fleeting(bench, each.refit, each.effect)
+        if each.refit is not None
+        and each.gain > GATE
+        and not seldom(bench, each.refit, each.effect)
+        and each.strength
+        > weakest * (_FLEETING if fleeting(bench, each.refit, each.effect) else 1.0)
     ]
 
 

@@ -278,6 +278,8 @@ class Effect:
     time_constant : callable, optional
         For an effect that shows where the force jumps: over which time it draws a jump out, from
         the parameters of the model by name [s].
+    period : callable, optional
+        For an effect that comes again and again: after which time, from the same [s].
     extra : bool
         Whether it is none of the bag contract's: it is looked for where those do not suffice.
 
@@ -296,6 +298,7 @@ class Effect:
     trial_parameters: tuple[EffectParameter, ...] = ()
     excludes: tuple[str, ...] = ()
     time_constant: Callable[[Mapping[str, float]], float] | None = None
+    period: Callable[[Mapping[str, float]], float] | None = None
     extra: bool = False
 
 

@@ -78,4 +78,5 @@ EFFECT = Effect(
     signature='A line in the spectrum of the residual of the force, in air as in contact.',
     source='P. Horowitz and W. Hill, The Art of Electronics, 3rd ed., 2015, ch. 8 (interference).',
     observe=_observe,
+    period=lambda values: 1.0 / values['frequency'],
 )

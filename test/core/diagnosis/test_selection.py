@@ -18,7 +18,8 @@
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.selection import select
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.selection import seldom, select
 
 
 def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
@@ -33,3 +34,18 @@ def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
     assert chosen.deviance < base.deviance + 1.0
     assert [each.alike for each in rounds] == [()]
     assert all(each.gain < 0.5 * worse for each in rounds[0].candidates)
+
+
+def test_a_sine_that_turns_once_or_twice_is_no_disturbance(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2]), seed=1).bench()
+    refit = bench.refit(Model(('periodic_disturbance',)), base)
+    frequency = refit.model.names.index('frequency')
+    longest = max(float(trial.t[-1] - trial.t[0]) for trial in bench.trials)
+    found = []
+    for turns in (2.0, 50.0):
+        values = refit.model.values(refit.theta)
+        values[frequency] = turns / longest
+        state = refit.state.copy()
+        state[: values.size] = refit.model.theta(values)
+        found.append(seldom(bench, replace(refit, state=state), 'periodic_disturbance'))
+    assert found == [True, False]
