@@ -175,7 +175,7 @@ def pairs(
     -------
     tuple of (str, str, float)
         Accepted effect, other, and the cosine of what they change beyond what the base model can
-        make up for; most alike first.
+        make up for; most alike first. The nearest of each is there, however unlike it is.
 
     """
     if not accepted:
@@ -190,13 +190,16 @@ def pairs(
     for one in accepted:
         if one not in own:
             continue
+        near = []
         for other in names:
             if other == one or (other in accepted and accepted.index(other) < accepted.index(one)):
                 continue
             length = float(np.linalg.norm(own[one]) * np.linalg.norm(own[other]))
             cosine = abs(float(own[one] @ own[other])) / length if length > 0.0 else 0.0
-            if cosine > _ALIKE:
-                found.append((one, other, min(cosine, 1.0)))
+            near.append((one, other, min(cosine, 1.0)))
+        near.sort(key=lambda each: -each[2])
+        # What fits is not thereby true: the nearest is told in any case.
+        found += [each for each in near if each[2] > _ALIKE] or near[:1]
     return tuple(sorted(found, key=lambda each: -each[2]))
 
 

@@ -112,7 +112,7 @@ def test_object_and_machine_give_way_alike_unless_the_object_is_seen(
 
 def test_a_drift_looks_like_no_spring(world: Any, two: Any) -> None:
     measured = world.measure(two, Undeclared('force_drift', (0.01,)), seed=1)
-    assert alike(measured, 'force_drift', 'series_spring')[0] == 0.0
+    assert alike(measured, 'force_drift', 'series_spring')[0] < 0.1
 
 
 def test_without_an_accepted_effect_nothing_looks_like_it(noise_only: Any) -> None:
