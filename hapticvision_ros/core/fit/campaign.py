@@ -81,6 +81,10 @@ _BETTER: Final = 0.8
 """Part of the squares near the touch that another onset leaves, to be chosen."""
 _BLURS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
+_LATE: Final = 3.0
+"""How late the heights of the tool may be, in their intervals."""
+_DENSE: Final = 0.05
+"""Quantile of the intervals that is theirs where samples are dense."""
 _FAR: Final = 2.5
 _TREND: Final = 4.0
 """How far a jump may be moved, and half the window that the trend is seen in, over its error."""
@@ -590,9 +594,10 @@ class Problem:
                     known[place] += float(white @ white) + filter_.log_determinant
             return known[place]
 
-        place = int(np.argmin(np.abs(np.log(np.array(_BLURS) / blur))))
+        last = _bluntest(self.trials)
+        place = min(int(np.argmin(np.abs(np.log(np.array(_BLURS) / blur)))), last)
         while True:
-            near = range(max(place - 1, 0), min(place + 2, len(_BLURS)))
+            near = range(max(place - 1, 0), min(place + 1, last) + 1)
             best = min(near, key=misfit)
             if best == place:
                 return _BLURS[place]
@@ -654,30 +659,54 @@ def height_blocks(trial: FitTrial) -> Blocks:
 def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     """Return the variance of each step's force for that its moment is known to `blur` samples."""
     middle = 0.5 * (trial.t[1:] + trial.t[:-1])
+    # A mean over several samples holds the jump in one of them.
+    spacing = np.diff(trial.t) / np.maximum(trial.force_count, 1.0)
     bend = np.zeros(force.size)
     slope = np.diff(force) / np.diff(middle)
-    bend[1:-1] = 0.5 * trial.interval * np.abs(np.diff(slope))
+    bend[1:-1] = 0.5 * spacing[1:-1] * np.abs(np.diff(slope))
     near = bend.copy()
     near[1:] = np.maximum(near[1:], bend[:-1])
     near[:-1] = np.maximum(near[:-1], bend[1:])
-    # A mean over several samples holds the jump in one of them.
     variance = (min(blur, 1.0) * near / np.maximum(trial.force_count, 1.0)) ** 2
     if blur > 1.0:
-        variance = np.maximum(variance, _moved(force, middle, slope, blur * trial.interval))
+        variance = np.maximum(variance, _moved(force, middle, slope, blur, _spacing(trial)))
     return np.asarray(variance, dtype=np.float64)
 
 
-def _moved(force: FloatArray, t: FloatArray, slope: FloatArray, std: float) -> FloatArray:
+def calm(full: FitTrial, force: FloatArray, noise: SensorNoise) -> NDArray[np.bool_]:
+    """Return which samples of a trial at the full rate can be held against a prediction."""
+    good = full.samples.good & (_jumps(force, full) <= noise.std**2)
+    # What goes on for most of a sparse record is no jump.
+    sparse = 2 * np.count_nonzero(good) < np.count_nonzero(full.samples.good)
+    return full.samples.good if sparse else good
+
+
+def _spacing(trial: FitTrial) -> float:
+    """Return the interval between two samples of the force where they are dense [s]."""
+    spacing = np.diff(trial.t) / np.maximum(trial.force_count, 1.0)
+    return float(np.quantile(spacing, _DENSE))
+
+
+def _bluntest(trials: Sequence[FitTrial]) -> int:
+    """Return the place of the worst that moments may be known, in `_BLURS`."""
+    # Heights come late by some of their own intervals; one clock for both has no late ones.
+    late = max(_LATE * trial.path.interval / _spacing(trial) for trial in trials)
+    return int(np.searchsorted(_BLURS, max(late, 1.0), side='right')) - 1
+
+
+def _moved(
+    force: FloatArray, t: FloatArray, slope: FloatArray, blur: float, spacing: float
+) -> FloatArray:
     """Return the mean square of what a force changes by, beyond its trend, when it is moved."""
     # A tool that goes on as it did is known from many of its heights.
-    window = 2 * int(_TREND * std / float(np.diff(t).min())) + 9
+    window = 2 * int(_TREND * blur) + 9
     trend = median_filter(slope, size=min(window, slope.size), mode='nearest')
     trend = np.append(trend, trend[-1])
     total = np.zeros(force.size)
-    offsets = np.linspace(-_FAR, _FAR, 2 * int(_FAR * std / float(np.diff(t).min())) + 5)
+    offsets = np.linspace(-_FAR, _FAR, 2 * int(_FAR * blur) + 5)
     weights = np.exp(-0.5 * offsets**2)
-    for offset, weight in zip(offsets * std, weights / weights.sum(), strict=True):
-        change = np.interp(t + offset, t, force) - force - offset * trend
+    for offset, weight in zip(offsets * blur * spacing, weights / weights.sum(), strict=True):
+        change: FloatArray = np.interp(t + offset, t, force) - force - offset * trend
         # Far from the ends of the record nothing is extrapolated.
         inside = (t + offset >= t[0]) & (t + offset <= t[-1])
         total += weight * np.where(inside, change, 0.0) ** 2
@@ -1345,7 +1374,7 @@ def _trial_fit(
     full = trial.at_full_rate()
     prediction = problem.predict(state, index, full, directions=False)
     _, force_zero, height_zero = problem.own(state, index)
-    good = trial.samples.good & (_jumps(prediction.force, full) <= noise.std**2)
+    good = calm(full, prediction.force, noise)
     t = 0.5 * (full.t[1:] + full.t[:-1])
     place = problem.places[index]
     std = np.sqrt(np.diag(covariance)[place])

@@ -54,6 +54,8 @@ _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _CORNER_SAMPLES: Final = 16
 """Corners that are so many samples of the encoders apart may be one change of speed."""
+_DENSE: Final = 0.05
+"""Quantile of the intervals of the encoders that is theirs where samples are dense."""
 _BURST: Final = 10
 """Samples that may be stamped late together."""
 _EDGE_SAMPLES: Final = 6
@@ -113,7 +115,7 @@ class ToolPath:
     bends : tuple of Bend
         Corners at which the tool changes its speed over a finite time.
     interval : float
-        Usual interval between two samples of the encoders [s].
+        Interval between two samples of the encoders where they are dense [s].
 
     """
 
@@ -636,7 +638,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         np.concatenate((before[1], levels, after[1])),
         noise,
         bends,
-        float(np.median(np.diff(t))),
+        float(np.quantile(np.diff(t), _DENSE)),
     )
 
 

@@ -39,6 +39,7 @@ from typing import Final, NamedTuple
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Channel, HeldOutChange, Misfit, Misfits, Phase
 from hapticvision_ros.core.fit.campaign import (
+    calm,
     CampaignNoise,
     find_onsets,
     Fit,
@@ -461,7 +462,7 @@ def _predict_one(
     whole = trained.problem([full])
     predicted = whole.predict(state, 0, directions=False)
     _, force_zero, height_zero = problem.own(state, 0)
-    good = full.samples.good & (whole.jumps(state)[0] <= noise.force.std**2)
+    good = calm(full, predicted.force, noise.force)
     middle = 0.5 * (full.t[1:] + full.t[:-1])
     std = np.sqrt(np.diag(solution.covariance()))
     return TrialFit(

@@ -291,12 +291,9 @@ def _fit_hold(trial: Trial, segmentation: Segmentation, noise: Estimate) -> _Dec
     if segmentation.t_hold is None:
         return _unknown_decay('the trial has no hold')
     stop = segmentation.t_end if segmentation.t_release is None else segmentation.t_release
-    # The corners of the tool's path are known to about two of its samples.
-    corner = 2.0 * max(sampling_interval(trial.tool_height), sampling_interval(trial.force))
-    corner = min(corner, 0.05 * (stop - segmentation.t_hold))
     record = trial.force.between(
-        segmentation.t_hold + corner,
-        stop if segmentation.t_release is None else stop - corner,
+        _corner(trial, segmentation.t_hold, stop),
+        stop if segmentation.t_release is None else _corner(trial, stop, segmentation.t_hold),
     )
     if len(record) < MIN_SAMPLES:
         return _unknown_decay(f'the hold has only {len(record)} samples of the force')
@@ -336,6 +333,21 @@ def _fit_hold(trial: Trial, segmentation: Segmentation, noise: Estimate) -> _Dec
         fit,
         warnings + _missed(fit, record, noise, 'hold', 1.0, 'N'),
     )
+
+
+def _corner(trial: Trial, corner: float, other: float) -> float:
+    """
+    Return a time [s] in the hold at which the tool rests for certain, near one of its ends.
+
+    The corners of the tool's path are known to about two of its samples, however far apart.
+    """
+    apart = 2.0 * max(sampling_interval(trial.tool_height), sampling_interval(trial.force))
+    t = trial.tool_height.t
+    second = int(np.searchsorted(t, corner)) + (1 if other > corner else -2)
+    if 0 <= second < t.size:
+        apart = max(apart, abs(float(t[second]) - corner))
+    apart = min(apart, 0.05 * abs(other - corner))
+    return corner + math.copysign(apart, other - corner)
 
 
 def _fit_recovery(trial: Trial, segmentation: Segmentation, noise: Estimate) -> _Decay:
