@@ -35,8 +35,9 @@ def _observe(
 ) -> None:
     speed = np.diff(trial.displacement) / np.diff(trial.t)
     # Friction at rest is anything up to the threshold; as the load cell's zero is taken at rest,
-    # or at a steady approach, a tool at rest is given none.
-    direction = np.tanh(speed / SLIDING_SPEED)
+    # or at a steady approach, a tool at rest is given none; nor is one that only creeps by the
+    # noise of its encoders.
+    direction = np.tanh((speed / SLIDING_SPEED) ** 3)
     prediction.force += values[0] * direction
     if rows:
         prediction.d_force[rows[0]] += direction

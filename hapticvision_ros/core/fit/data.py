@@ -69,7 +69,7 @@ _SHOWN: Final = 25.0
 _NO_WORSE: Final = 1.2
 _AIR: Final = 0.2
 """The tool's path is followed closely up to this share of the depth above the first touch."""
-_COARSE: Final = 0.1
+_COARSE: Final = 0.002
 """Above that, within this part of it."""
 _MOST_IN_AIR: Final = 24
 _DETECTION: Final = 0.01
@@ -631,8 +631,9 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
             knots, levels = inner_t, inner_value
         else:
             knots, levels, bends = _bent(inner_t, inner_value, knots, levels, noise)
-    before = _coarse(t[:first], value[:first], -top)
-    after = _coarse(t[last:], value[last:], -top)
+    tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
+    before = _coarse(t[:first], value[:first], tolerance)
+    after = _coarse(t[last:], value[last:], tolerance)
     return ToolPath(
         np.concatenate((before[0], knots, after[0])),
         np.concatenate((before[1], levels, after[1])),
@@ -642,12 +643,11 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     )
 
 
-def _coarse(t: FloatArray, value: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return corners of a path in the air, where little depends on it."""
+def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Return corners of a path in the air, where friction alone depends on it."""
     if t.size < 2:
         return t, value
     corners = [0, t.size - 1]
-    tolerance = _COARSE * scale
     while len(corners) < _MOST_IN_AIR:
         away = np.abs(value - np.interp(t, t[corners], value[corners]))
         far = int(np.argmax(away))

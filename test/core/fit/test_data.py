@@ -83,6 +83,18 @@ def test_a_quick_withdrawal_between_slow_samples_does_not_bend_the_hold() -> Non
     assert path.interval == pytest.approx(0.02)
 
 
+def test_a_tool_at_rest_high_above_the_object_does_not_creep() -> None:
+    """Friction acts in air as well, once the tool moves."""
+    t = np.arange(0.0, 20.0, 0.004)
+    way = _tool(t, [0.0, 1.0, 3.0003, 13.0004, 20.0], [-0.009, -0.009, 0.006, 0.006, -0.344])
+    path = tool_path(
+        Signal(t, way + 1e-6 * np.random.default_rng(0).standard_normal(t.size)), PHASES
+    )
+    early, later = path.at(np.array([0.1, 0.9])), path.at(np.array([1.1, 1.3]))
+    assert abs(np.diff(early)[0]) / 0.8 < 5e-6
+    assert np.diff(later)[0] / 0.2 == pytest.approx(0.0075, rel=1e-3)
+
+
 def _trial() -> Trial:
     t = np.arange(0.0, 20.0, 0.001)
     force = np.where((t > 1.0) & (t < 13.0), 5.0, 0.0)
