@@ -221,7 +221,9 @@ RHEOLOGY_RESULT: Final = _cell_topic(
     'diagnostic_msgs/msg/DiagnosticStatus',
     '-',
     '-',
-    'All estimates of the last trial with standard errors, or the reasons why there are none.',
+    'All estimates of the last trial with standard errors, or the reasons why there are none: '
+    "those of the paper's method, and, with `whole.` before their names, those of the "
+    'three-element model fitted to the whole waveform.',
 )
 EXPERIMENT_STATUS: Final = _cell_topic(
     '/experiment/status',

@@ -16,9 +16,10 @@
 Fit each trial as soon as it is over, and publish what it tells.
 
 A trial begins at the phase ``approach``, or at ``/rheology_fitter/reset``, from where all is kept,
-and ends at ``done``; ``/rheology_fitter/fit`` ends one that nobody else ends. The numbers are
-those of ``hapticvision fit`` on a bag of the same messages: both run the same code on the same
-bytes.
+and ends at ``done``; ``/rheology_fitter/fit`` ends one that nobody else ends. The coefficients are
+published as soon as the paper's method has them; the result follows once the three-element model
+is fitted to the whole waveform. The numbers are those of ``hapticvision fit --model
+three-element`` on a bag of the same messages: both run the same code on the same bytes.
 """
 
 from collections.abc import Mapping
@@ -43,7 +44,7 @@ from hapticvision_ros.bag.contract import (
     TOPICS,
     WRENCH,
 )
-from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.nodes.clock import CLOCK, EXACT_REPLAY, MessageClock, Nanoseconds
@@ -123,6 +124,9 @@ SYMBOLS: Final = (
 )
 """Names and units of the estimates, as in `hapticvision_ros.core.fit.paper.PaperResult`."""
 
+WHOLE: Final = 'whole.'
+"""What the keys begin with that tell of the fit to the whole waveform."""
+
 TRIAL: Final = 'trial'
 """Key of the number that `/rheology_fitter/reset` has answered."""
 
@@ -145,6 +149,15 @@ class _Job:
     source: str
 
 
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What a trial tells; `whole` is None before the fit to the whole waveform has ended."""
+
+    number: int
+    analysis: TrialAnalysis | InputError
+    whole: Mapping[str, str] | None = None
+
+
 def result_values(analysis: TrialAnalysis) -> dict[str, str]:
     """
     Return all that a trial tells, as the key-value pairs of ``/rheology/result``.
@@ -163,14 +176,7 @@ def result_values(analysis: TrialAnalysis) -> dict[str, str]:
     """
     values: dict[str, str] = {}
     for symbol, unit in SYMBOLS:
-        estimate: Estimate = getattr(analysis.paper, symbol)
-        if estimate.value is not None:
-            values[f'{symbol}.value'] = repr(float(estimate.value))
-            values[f'{symbol}.unit'] = unit
-        if estimate.std is not None and math.isfinite(estimate.std):
-            values[f'{symbol}.std'] = repr(float(estimate.std))
-        if estimate.reason is not None:
-            values[f'{symbol}.reason'] = estimate.reason
+        values |= _pairs(symbol, getattr(analysis.paper, symbol), unit)
     segmentation = analysis.segmentation
     values['start_ns'] = str(analysis.trial.start_ns)
     for name in ('t_contact', 't_hold', 't_release', 't_loss', 't_end'):
@@ -183,6 +189,52 @@ def result_values(analysis: TrialAnalysis) -> dict[str, str]:
             values[f'{name}_{unit}'] = repr(float(value))
     for number, warning in enumerate(analysis.warnings, start=1):
         values[f'warning {number}'] = warning
+    return values
+
+
+def whole_values(analysis: TrialAnalysis) -> dict[str, str]:
+    """
+    Fit the three-element model to the whole waveform of a trial.
+
+    Parameters
+    ----------
+    analysis : TrialAnalysis
+        Of the trial.
+
+    Returns
+    -------
+    dict of str to str
+        ``whole.model``, for each of its parameters the same pairs as in `result_values`, and each
+        warning of the fit; or ``whole.reason`` where the trial cannot be fitted.
+
+    """
+    # These take longer to import than a node may take to answer.
+    from hapticvision_ros.core.composition import Model
+    from hapticvision_ros.core.fit.campaign import fit
+
+    model = Model()
+    values = {f'{WHOLE}model': model.name}
+    try:
+        found = fit([analysis], model)
+    except UsageError as error:
+        return values | {f'{WHOLE}reason': str(error)}
+    for name, unit in zip(model.names, model.units, strict=True):
+        values |= _pairs(f'{WHOLE}{name}', found.parameters[name], unit)
+    for number, warning in enumerate(found.warnings, start=1):
+        values[f'{WHOLE}warning {number}'] = warning
+    return values
+
+
+def _pairs(key: str, estimate: Estimate, unit: str) -> dict[str, str]:
+    """Return an estimate as key-value pairs."""
+    values = {}
+    if estimate.value is not None:
+        values[f'{key}.value'] = repr(float(estimate.value))
+        values[f'{key}.unit'] = unit
+    if estimate.std is not None and math.isfinite(estimate.std):
+        values[f'{key}.std'] = repr(float(estimate.std))
+    if estimate.reason is not None:
+        values[f'{key}.reason'] = estimate.reason
     return values
 
 
@@ -214,9 +266,7 @@ class RheologyFitter(CellNode):
         self._heard = time.monotonic()
         self._trials = 0
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[tuple[int, TrialAnalysis | InputError]] = (
-            queue.SimpleQueue()
-        )
+        self._outcomes: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
 
         wanted = self.parameters.flag('displacement_from_points')
         # The phase first: the samples that come with it are of the trial that it begins.
@@ -274,8 +324,8 @@ class RheologyFitter(CellNode):
         self._take()
         if self._state is _State.ENDING and self._is_complete():
             self._hand_over()
-        while not self._results.empty():
-            self._publish(*self._results.get())
+        while not self._outcomes.empty():
+            self._publish(self._outcomes.get())
 
     def _take(self) -> None:
         """Keep what has come."""
@@ -346,29 +396,51 @@ class RheologyFitter(CellNode):
             try:
                 provenance = {'displacement_source': job.source}
                 trial = job.buffer.trial(f'trial {job.number}', job.times, provenance)
-                self._results.put((job.number, analyse(trial)))
+                analysis = analyse(trial)
             except InputError as error:
-                self._results.put((job.number, error))
+                self._outcomes.put(_Outcome(job.number, error))
+                continue
             finally:
                 job.buffer.close()
+            self._outcomes.put(_Outcome(job.number, analysis))
+            self._outcomes.put(_Outcome(job.number, analysis, whole_values(analysis)))
 
-    def _publish(self, number: int, result: TrialAnalysis | InputError) -> None:
+    def _publish(self, outcome: _Outcome) -> None:
+        result = outcome.analysis
         if isinstance(result, InputError):
-            message = status_to_message('rheology', str(result), {TRIAL: str(number)})
+            values = {TRIAL: str(outcome.number)}
+            message = status_to_message('rheology', str(result), values)
             message.level = DiagnosticStatus.ERROR
             self.get_logger().error(str(result))
-        else:
-            text = summary(result)
-            known = True
+            self._result.publish(message)
+            return
+        text = summary(result)
+        estimates = {symbol: getattr(result.paper, symbol) for symbol in self._coefficients}
+        if outcome.whole is None:
             for symbol, publisher in self._coefficients.items():
-                estimate: Estimate = getattr(result.paper, symbol)
-                known = known and estimate.known
-                if estimate.value is not None:
-                    publisher.publish(scalar_to_message(estimate.value))
-            values = {TRIAL: str(number), **result_values(result)}
-            message = status_to_message('rheology', text, values, warning=not known)
+                if estimates[symbol].value is not None:
+                    publisher.publish(scalar_to_message(estimates[symbol].value))
             self.get_logger().info(f'{result.trial.name}: {text}')
-        self._result.publish(message)
+            return
+        values = {TRIAL: str(outcome.number), **result_values(result), **outcome.whole}
+        known = all(estimate.known for estimate in estimates.values())
+        self._result.publish(status_to_message('rheology', text, values, warning=not known))
+        self.get_logger().info(f'{result.trial.name}, whole waveform: {_told(outcome.whole)}')
+
+
+def _told(whole: Mapping[str, str]) -> str:
+    """Return the fit to the whole waveform in one line."""
+    if f'{WHOLE}reason' in whole:
+        return whole[f'{WHOLE}reason']
+    parts = []
+    for name in ('K1', 'C1', 'C2'):
+        key = f'{WHOLE}{name}'
+        if f'{key}.value' not in whole:
+            parts.append(f'{name} unknown ({whole[f"{key}.reason"]})')
+            continue
+        error = f' +- {float(whole[f"{key}.std"]):.2g}' if f'{key}.std' in whole else ''
+        parts.append(f'{name} = {float(whole[f"{key}.value"]):.4g}{error} {whole[f"{key}.unit"]}')
+    return ', '.join(parts)
 
 
 def main() -> int:

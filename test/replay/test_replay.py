@@ -21,6 +21,7 @@ code: the numbers agree to the rounding of a sum.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 import os
 from pathlib import Path
 import socket
@@ -38,12 +39,12 @@ from hapticvision_ros.bag.playback import Playback
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.cli.processes import node, Supervisor
 from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
-from hapticvision_ros.core.records import Trial
+from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import OnlineSegmenter
 from hapticvision_ros.nodes.bag_player import BagPlayer, result_lines
 from hapticvision_ros.nodes.conversions import values_from_status
 from hapticvision_ros.nodes.qos import create_subscription
-from hapticvision_ros.nodes.rheology_fitter import result_values, SYMBOLS, TRIAL
+from hapticvision_ros.nodes.rheology_fitter import result_values, SYMBOLS, TRIAL, whole_values
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
@@ -192,8 +193,6 @@ def test_there_are_bags_to_replay():
 @pytest.mark.parametrize('path', TRIALS, ids=lambda path: f'{path.parent.name}/{path.name}')
 def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, path):
     trial = read_trial(path)
-    offline: TrialAnalysis = analyse(trial)
-    expected = result_values(offline)
     nodes.set_source('tool' if trial.displacement_source == 'tool' else 'object')
     heard = nodes.times
     before = {kind: len(values) for kind, values in heard.items()}
@@ -201,9 +200,11 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
     result, _ = replay(path)
 
     values = values_from_status(result)
-    del values[TRIAL]
+    # The node knows a trial by its number, and warnings name the trial.
+    offline: TrialAnalysis = analyse(replace(trial, name=f'trial {values.pop(TRIAL)}'))
+    expected = {**result_values(offline), **whole_values(offline)}
     assert values.pop('start_ns') == expected.pop('start_ns')
-    warnings = {key: text for key, text in values.items() if key.startswith('warning')}
+    warnings = {key: text for key, text in values.items() if 'warning' in key}
     assert warnings == {key: text for key, text in expected.items() if key in warnings}
     assert values.keys() == expected.keys(), 'the same is known, and the same unknown'
     for key, text in expected.items():
@@ -237,3 +238,12 @@ def test_the_result_is_printed_with_a_reason_for_all_that_is_unknown(nodes):
         assert any(line.startswith(f'{symbol} ') for line in lines), symbol
     assert any('unknown: ' in line and 'release' in line for line in lines)
     assert RHEOLOGY_RESULT.msgtype == 'diagnostic_msgs/msg/DiagnosticStatus'
+
+
+def test_a_trial_that_no_model_fits_has_the_reason():
+    trial = read_trial(TRIALS[0])
+    untouched = Signal(trial.force.t, np.zeros(trial.force.t.size))
+    values = whole_values(analyse(replace(trial, force=untouched)))
+    assert values['whole.model'] == 'three-element'
+    assert values['whole.reason']
+    assert not any(key.endswith('.value') for key in values)
