@@ -19,10 +19,12 @@ The trials come from integrators of their own (below), not from the models of th
 truth of each event is known from the integration.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 import math
 import pickle
+from typing import Any
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
@@ -407,6 +409,31 @@ def test_online_detects_before_the_phase_is_far_gone(name: str) -> None:
     assert delay['contact'] <= 0.3 * push + slow
     assert delay['hold'] <= 0.15 * push + slow + 10.0 * motion_bound(case)
     assert delay['release'] <= 0.1 * push + slow + 10.0 * motion_bound(case)
+
+
+@pytest.mark.parametrize('push_speed', [0.004, 0.008])
+@pytest.mark.parametrize('seed', range(8))
+def test_heights_that_come_late_hide_neither_the_stop_nor_the_start_of_the_tool(
+    live: Callable[..., Any], push_speed: float, seed: int
+) -> None:
+    trial = live(push_speed=push_speed, seed=seed)
+    force, height = trial.make()
+    found = segment(force, height)
+    assert found.t_hold is not None and found.t_release is not None
+    # The tool slows down over 8 and 16 ms and starts over 40 ms; heights are 2 ms apart, after a
+    # stall up to some 40, and none is early. What follows the tool at rest is the hold.
+    assert -0.004 <= found.t_hold - trial.t_hold <= 0.03
+    assert -0.004 <= found.t_release - trial.t_release <= 0.004
+
+
+def test_gaps_in_the_heights_are_no_rest_of_the_tool() -> None:
+    trial = measured('fast')
+    t = trial.height.t
+    gap = (np.abs(t - trial.t_hold + 0.08) < 0.04) & (np.abs(t - trial.t_hold + 0.08) > 0.0015)
+    found = segment(trial.force, Signal(t[~gap], trial.height.value[~gap]))
+    assert found.t_hold == pytest.approx(trial.t_hold, abs=0.002)
+    assert found.t_release == pytest.approx(trial.t_release, abs=0.002)
+    assert found.warnings == ()
 
 
 def test_the_force_of_a_trial_without_contact_is_no_contact() -> None:

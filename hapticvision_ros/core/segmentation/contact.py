@@ -141,7 +141,8 @@ def fit_start(t: FloatArray, x: FloatArray, first: int, moved: int) -> float:
     settled = first + int(near[-1]) if near.size else moved
     begin = max(first, settled - max(2 * (last - settled), 8))
     back = -t[begin:last][::-1]
-    return -fit_stop(back, x[begin:last][::-1], float(back[0]), float(back[-1]))
+    gone = x[begin:last][::-1]
+    return -fit_stop(back, gone, float(back[0]), float(back[-1]), backwards=True)
 
 
 def locate_touch(

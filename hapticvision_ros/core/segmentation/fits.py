@@ -24,7 +24,14 @@ _LAGS = (1, 2, 4, 8, 16)
 _COSTS = (0.0, 0.0, 8.0, 8.0, 8.0)
 _GUARD = 3
 """Samples before an onset that may already hold some of the rise."""
+_P50_OF_NORMAL = 0.6744897501960817
 _P70_OF_NORMAL = 1.0364333894937898
+_SHOW = 4
+"""Samples that it takes to see that a tool slows down."""
+_FEWEST_TOLD = 8
+_BLURRED = 4.0
+"""Variance of a moving tool's samples over that at rest, from which on stamps are uncertain."""
+_MOST_BLURRED = 1e4
 
 
 def despike(value: FloatArray) -> FloatArray:
@@ -257,6 +264,7 @@ def fit_stop(
     low: float,
     high: float,
     *,
+    backwards: bool = False,
     count: int = 130,
 ) -> float:
     """
@@ -264,7 +272,8 @@ def fit_stop(
 
     The travel is a straight line, then a parabola while the tool slows down at a constant rate
     (for a time that may be zero), then constant: the stop is the end of the parabola. Reverse the
-    time to find when a tool at rest starts.
+    time to find when a tool at rest starts. Samples that were stamped late scatter by their speed
+    times the delay, so that the last bit of the way tells the stop best: it gets the weight.
 
     Parameters
     ----------
@@ -274,6 +283,8 @@ def fit_stop(
         Travel in the window [m].
     low, high : float
         Bounds of the stop [s].
+    backwards : bool
+        Whether time is reversed, so that a late sample shows what is yet to come.
     count : int
         About how many points the window is binned to; it stays finest about the stop.
 
@@ -283,6 +294,76 @@ def fit_stop(
         Time of the stop [s].
 
     """
+    corner, slow = _search_stop(t, travel, low, high, count)
+    scatter = _scatter(t, travel, corner, slow)
+    if scatter is not None:
+        corner, slow = _search_again(t, travel, corner, low, high, count, scatter, backwards)
+    return corner + 0.5 * slow
+
+
+def _pace(t: FloatArray, corner: FloatArray, slow: FloatArray) -> FloatArray:
+    """Return the speed of a tool that stops, as a share of its full one."""
+    return np.clip((corner + 0.5 * slow - t) / np.maximum(slow, 1e-12), 0.0, 1.0)
+
+
+def _way(t: FloatArray, corner: FloatArray, slow: FloatArray) -> FloatArray:
+    """Return the way that is left at unit speed: a straight line, a parabola, then none."""
+    left = np.maximum(corner + 0.5 * slow - t, 0.0)
+    curve = left * left / (2.0 * np.maximum(slow, 1e-300))
+    return np.where(left < slow, curve, left - 0.5 * slow)
+
+
+def _scatter(
+    t: FloatArray, travel: FloatArray, corner: float, slow: float
+) -> tuple[float, float] | None:
+    """Return the variances at rest and at full speed [m^2], if the stamps make them differ."""
+    at, length = np.array(corner), np.array(slow)
+    pace = _pace(t, at, length)
+    moves, rests = pace == 1.0, pace == 0.0
+    if min(np.count_nonzero(moves), np.count_nonzero(rests)) < _FEWEST_TOLD:
+        return None
+    line = _way(t[moves], at, length)
+    line -= np.mean(line)
+    off = travel[moves] - np.mean(travel[moves])
+    off -= (float(off @ line) / max(float(line @ line), 1e-300)) * line
+    steps = np.abs(np.diff(travel))
+    steps = steps[steps > 0.0]
+    # What the encoders' step hides of the scatter at rest.
+    hidden = float(np.min(steps)) ** 2 / 12.0 if steps.size else 0.0
+    # Medians, since the first path may be wrong by what it takes for rest.
+    still = np.abs(travel[rests] - np.median(travel[rests]))
+    moving = float(np.median(np.abs(off))) ** 2 / _P50_OF_NORMAL**2
+    resting = float(np.median(still)) ** 2 / _P50_OF_NORMAL**2 + hidden
+    resting = max(resting, moving / _MOST_BLURRED)
+    return (resting, moving) if moving > _BLURRED * resting else None
+
+
+def _misfit(
+    t: FloatArray,
+    travel: FloatArray,
+    weight: FloatArray,
+    corner: FloatArray,
+    slow: FloatArray,
+    high: float,
+) -> FloatArray:
+    """Return the sum of squares that each path, shape (g, 1), leaves; infinite if it is none."""
+    total = float(np.sum(weight))
+    off = travel - float(travel @ weight) / total
+    shape = _way(t, corner, slow)
+    shape -= (shape @ weight)[:, None] / total
+    power = np.maximum(np.einsum('gn,gn->g', shape * weight, shape), 1e-300)
+    sse = np.maximum(float((off * off) @ weight) - (shape @ (off * weight)) ** 2 / power, 0.0)
+    # A parabola that no sample shows, or that reaches beyond the bounds of the stop, is none.
+    start, stop = (corner - 0.5 * slow)[:, 0], (corner + 0.5 * slow)[:, 0]
+    shown = np.searchsorted(t, stop) - np.searchsorted(t, start)
+    sse[(stop > high + 1e-12) | ((slow[:, 0] > 0.0) & (shown < _SHOW))] = np.inf
+    return np.asarray(sse)
+
+
+def _search_stop(
+    t: FloatArray, travel: FloatArray, low: float, high: float, count: int
+) -> tuple[float, float]:
+    """Return the corner of line and rest, and how long the tool slows down about it [s]."""
     columns = travel[None, :]
     longest = max(high - float(t[0]), 0.0)
     # The corner of line and rest is told well, the slowing about it less so: search in these.
@@ -293,26 +374,13 @@ def fit_stop(
     for _round in range(10):
         centre, half = 0.5 * (corners[0] + corners[-1]), 0.5 * (slowing[-1] + 4.0 * dc)
         tb, (xb,), weight = _binned(t, columns, centre, half, count)
-        total = float(np.sum(weight))
-        xc = xb - float(xb @ weight) / total
         at, length = (axis.ravel()[:, None] for axis in np.meshgrid(corners, slowing))
-        left = np.maximum(at + 0.5 * length - tb, 0.0)
-        curve = left * left / (2.0 * np.maximum(length, 1e-300))
-        shape = np.where(left < length, curve, left - 0.5 * length)
-        shape -= (shape @ weight)[:, None] / total
-        power = np.maximum(np.einsum('gn,gn->g', shape * weight, shape), 1e-300)
-        sse = np.maximum(float((xc * xc) @ weight) - (shape @ (xc * weight)) ** 2 / power, 0.0)
-        # A parabola that no sample shows, or that reaches beyond the bounds of the stop, is none.
-        stop = (at + 0.5 * length)[:, 0]
-        ends = np.searchsorted(tb, stop)
-        shown = ends - np.searchsorted(tb, at[:, 0])
-        late = ends - np.searchsorted(tb, stop - 0.25 * length[:, 0])
-        sse[(stop > high + 1e-12) | ((length[:, 0] > 0.0) & ((shown < 3) | (late < 1)))] = np.inf
+        sse = _misfit(tb, xb, weight, at, length, high)
         best = int(np.argmin(sse))
         sharp = np.where(length[:, 0] == 0.0, sse, np.inf)
         sharpest = int(np.argmin(sharp))
         # What is sharp within the noise is sharp.
-        if sharp[sharpest] <= sse[best] * (1.0 + 9.0 / max(total - 4.0, 1.0)) + 1e-300:
+        if sharp[sharpest] <= sse[best] * (1.0 + 9.0 / max(t.size - 4.0, 1.0)) + 1e-300:
             best = sharpest
         corner, slow = float(at[best, 0]), float(length[best, 0])
         corners = np.clip(corner + np.linspace(-1.0, 1.0, 9) * dc, low, high)
@@ -321,4 +389,77 @@ def fit_stop(
         dc, dd = dc / 3.0, dd / 3.0
         if dc < 0.01 * spacing:
             break
-    return corner + 0.5 * slow
+    return corner, slow
+
+
+def _unlikely(
+    t: FloatArray,
+    travel: FloatArray,
+    blur: FloatArray,
+    size: FloatArray,
+    corner: FloatArray,
+    slow: FloatArray,
+    scatter: tuple[float, float],
+    delay: FloatArray,
+) -> FloatArray:
+    """
+    Return minus twice the log-likelihood of each path, shape (g, 1), but for a constant.
+
+    A sample scatters by the speed that the tool had when it may have been taken, `delay` before
+    its stamp [s], and by `blur`, how old it may be beside the others.
+    """
+    resting, moving = scatter
+    pace = _pace(t - delay, corner, slow) * blur
+    variance = resting + (moving - resting) * pace**2
+    weight = size / variance
+    total = np.sum(weight, axis=1)
+    shape = _way(t, corner, slow)
+    shape -= (np.einsum('gn,gn->g', shape, weight) / total)[:, None]
+    off = travel - ((weight @ travel) / total)[:, None]
+    power = np.maximum(np.einsum('gn,gn,gn->g', weight, shape, shape), 1e-300)
+    along = np.einsum('gn,gn,gn->g', weight, shape, off)
+    sse = np.einsum('gn,gn,gn->g', weight, off, off) - along**2 / power
+    return np.asarray(sse + np.log(variance) @ size)
+
+
+def _search_again(
+    t: FloatArray,
+    travel: FloatArray,
+    corner: float,
+    low: float,
+    high: float,
+    count: int,
+    scatter: tuple[float, float],
+    backwards: bool,
+) -> tuple[float, float]:
+    """
+    Return corner and slowing [s] where stamps are uncertain, near a corner that is known.
+
+    The samples at the lowest speeds tell the stop far better than all others tell the rest, so
+    that the search goes by the stop. A sample may be as old as the gap before it is long.
+    """
+    gap = np.diff(t)
+    spacing, usual = float(np.mean(gap)), float(np.median(gap))
+    age = np.concatenate((gap, gap[-1:]) if backwards else (gap[:1], gap))
+    delay = np.zeros_like(t) if backwards else age
+    columns = np.stack((travel, np.maximum(age / usual, 1.0), delay))
+    longest = max(high - float(t[0]), 2.0 * spacing)
+    reach = 0.1 * longest
+    corners = corner + np.linspace(-reach, reach, 25)
+    lengths = np.concatenate(([0.0], np.geomspace(spacing, longest, 24)))
+    at, length = (axis.ravel()[:, None] for axis in np.meshgrid(corners, lengths))
+    step, factor, half = reach / 12.0, (longest / spacing) ** (1.0 / 23.0), longest
+    while True:
+        tb, (xb, blur, delay), size = _binned(t, columns, corner, half, count)
+        at = np.clip(at, low, high)
+        score = _unlikely(tb, xb, blur, size, at, length, scatter, delay)
+        score[(at + 0.5 * length)[:, 0] > high + 1e-12] = np.inf
+        best = int(np.argmin(score))
+        corner, slow = float(at[best, 0]), float(length[best, 0])
+        if step < 0.01 * spacing:
+            return corner, slow
+        stops = corner + 0.5 * slow + np.linspace(-step, step, 9)
+        lengths = slow * factor ** np.linspace(-1.0, 1.0, 9)
+        ends, length = (axis.ravel()[:, None] for axis in np.meshgrid(stops, lengths))
+        at, half = ends - 0.5 * length, slow + 4.0 * step
+        step, factor = 0.5 * step, factor**0.6

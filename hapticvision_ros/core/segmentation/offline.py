@@ -42,6 +42,11 @@ _IRRELEVANT = 1e-3
 """A zero that moves by less than this share of the peak spoils nothing."""
 _MOVED = 5.0
 """Standard errors by which two levels without contact differ for certain."""
+_LATE_SAMPLES = 30.0
+_LATE_SHARE = 0.05
+"""Samples of the height, and share of the hold, by which T_e may be found late."""
+_FALLEN = 3
+"""Samples of the force below its decay that are no noise."""
 _NO_PUSH = (
     'the force is largest at the start of the record: it starts in contact, and the push is not '
     'in it'
@@ -103,9 +108,10 @@ def segment(
 
     T_c is the onset of the force over the tool's travel; T_s is the moment at which the tool has
     come to rest (the end of its slowing down, where it slows down) and T_e the moment at which it
-    starts back, both from the tool's motion; t_loss is where the force on withdrawal has gone to
-    its level without contact for good, after the pull of an adhesive object. Where a small force
-    (up to 15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
+    starts back, both from the tool's motion (heights may come late: T_e is no later than the
+    sudden fall of the force); t_loss is where the force on withdrawal has gone to its level
+    without contact for good, after the pull of an adhesive object. Where a small force (up to
+    15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
     the tool pushes in steps, the phases are those of the first step and `t_end` is its end. Where
     the tool never comes to rest, `push_speed` is the mean up to the end of the push.
 
@@ -143,6 +149,8 @@ def segment(
     x_contact = float(np.interp(contact.t, record.tx, record.x))
     t_hold, t_release, t_stop, level, notes = _find_motion(record, contact.t, x_contact, options)
     warnings += notes
+    if t_hold is not None and t_release is not None:
+        t_release = _seen_by_force(record, t_hold, t_release)
     t_end = min(t_end, t_stop)
     t_loss, free, notes = _find_loss(
         record, contact, t_release, t_end, x_contact, displacement_height, options
@@ -286,8 +294,8 @@ def _find_rests(
     if not np.any(rising):
         return []
     pace = float(np.median(duration[rising]))
-    step = float(np.median(np.diff(t)))
-    at_rest = (duration > options.rest_slowdown * pace) & (duration > 3.0 * step)
+    # A gap in the record is no rest.
+    at_rest = (duration > options.rest_slowdown * pace) & (np.diff(edges) > 3)
     rests: list[_Rest] = []
     for k in np.flatnonzero(at_rest):
         first, stop = int(edges[k]), int(edges[k + 1])
@@ -359,6 +367,29 @@ def _find_motion(
         )
         return t_hold, None, t_leave, hold.level, notes
     return t_hold, t_leave, t_stop, hold.level, notes
+
+
+def _seen_by_force(record: _Record, t_hold: float, t_release: float) -> float:
+    """
+    Return T_e, earlier where the force had left its slow decay before: heights may come late.
+
+    A tool that rests does not make the force fall all at once.
+    """
+    back = min(
+        _LATE_SAMPLES * float(np.median(np.diff(record.tx))), _LATE_SHARE * (t_release - t_hold)
+    )
+    first, middle, last = np.searchsorted(
+        record.tf, (t_release - 3.0 * back, t_release - back, t_release)
+    )
+    if middle - first < _FEWEST or last - middle < _FALLEN:
+        return t_release
+    t, f = record.tf[first:last] - t_release, record.f[first:last]
+    calm = int(middle - first)
+    decay = np.polynomial.Polynomial.fit(t[:calm], f[:calm], 1)
+    noise = max(record.force_noise, float(np.std(f[:calm] - decay(t[:calm]))), record.force_step)
+    held = calm + np.flatnonzero(f[calm:] > decay(t[calm:]) - 6.0 * noise)
+    seen = int(held[-1]) if held.size else calm - 1
+    return t_release + float(t[seen]) if f.size - 1 - seen >= _FALLEN else t_release
 
 
 def _after(t: FloatArray, moment: float) -> int:

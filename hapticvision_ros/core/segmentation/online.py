@@ -179,8 +179,9 @@ class OnlineSegmenter:
     force counts as a loss once the force stands still, which `segment` may place later.
 
     Memory is bounded, and a sample costs a constant number of operations; the sample that shows
-    an event costs a fit of about a millisecond more. Force and height may come at different rates
-    and interleave in any order; a sample that is not newer than the last of its kind is ignored.
+    an event costs a fit of about a millisecond more, of some ten where stamps are uncertain.
+    Force and height may come at different rates and interleave in any order; a sample that is not
+    newer than the last of its kind is ignored.
 
     """
 
