@@ -21,7 +21,8 @@ of one condition (speed and depth), which it then predicts, each condition in tu
 predicted trial may only have its own onset, within the precision of the detected contact, and its
 sensors' zeros. The model of a set is chosen anew for each held-out condition, by the same
 cross-validation among the other conditions, so that neither the fit nor the choice has seen what
-is predicted. Muscle and adhesive are read from ``bags/``; the silicone is read from CSV files in
+is predicted. Models of the first set are also asked for trials of another kind. Muscle and
+adhesive are read from ``bags/``; the silicone is read from CSV files in
 ``DIR/silicone_indentation`` where ``--data DIR`` is given (``bags/README.md`` tells the source).
 
 ``OMP_NUM_THREADS=1 python bench/real_data.py --data DIR --out doc/real_data.md`` renews the tables
@@ -88,6 +89,12 @@ SETS = (
     Set('adhesive, first step', 'adhesive_shear_relaxation', 'rate_*'),
 )
 
+OTHERS = (
+    Set('silicone, push, hold and release', 'silicone_indentation', 'push_hold_release_*'),
+    Set('the push with a slip', 'silicone_indentation', 'push_hold_P002_laser_1'),
+)
+"""Trials that are also predicted by the models fitted to the first set alone."""
+
 
 @dataclass(frozen=True)
 class Miss:
@@ -113,9 +120,16 @@ class Miss:
     onset: float
 
     @classmethod
-    def of(cls, model: Model, theta: FloatArray, one: FitTrial, found: TrialFit) -> 'Miss':
+    def of(
+        cls,
+        model: Model,
+        theta: FloatArray,
+        one: FitTrial,
+        found: TrialFit,
+        within: tuple[float, float] = (-math.inf, math.inf),
+    ) -> 'Miss':
         """
-        Return it for a trial with its own values as found.
+        Return it for a trial with its own values as found, over the times `within` [s].
 
         All samples count but those set aside as glitches, also the corners of the force that the
         records of a fit leave out.
@@ -123,14 +137,15 @@ class Miss:
         full = one.at_full_rate()
         own = [found.values[name].value or 0.0 for name in model.trial_names]
         zero = found.values.get('force_zero')
-        good = full.samples.good
+        middle = 0.5 * (full.t[1:] + full.t[:-1])
+        good = full.samples.good & (middle >= within[0]) & (middle < within[1])
         said = model.predict(full, theta, own, directions=False).force[good]
         measured = full.samples.force[good] - ((zero.value or 0.0) if zero else 0.0)
         factor = float(measured @ said) / max(float(said @ said), 1e-300)
         return cls(
             math.sqrt(float(np.mean((measured - said) ** 2))),
             math.sqrt(float(np.mean((measured - factor * said) ** 2))),
-            float(np.abs(full.samples.force[good]).max()),
+            float(np.abs(full.samples.force[full.samples.good]).max()),
             own[0] / one.onset_std,
         )
 
@@ -283,6 +298,40 @@ def singles(campaigns: Sequence[tuple[Set, Campaign]]) -> Iterator[str]:
     yield ''
 
 
+def elsewhere(campaign: Campaign, others: Sequence[tuple[Set, Campaign]]) -> Iterator[str]:
+    """Yield how far the models of a campaign miss trials of another kind."""
+    yield from ('### Silicone: what push and hold say of other trials', '')
+    yield (
+        '| candidate | '
+        + ' | '.join(
+            f'{one.title}: all | until the release | after it | shape' for one, _ in others
+        )
+        + ' |'
+    )
+    yield '| --- |' + ' --- |' * (4 * len(others))
+    for model in CANDIDATES:
+        trained = Trained.of(fit(campaign, model), list(campaign))
+        cells = []
+        for _, other in others:
+            pairs = [pair(trial) for trial in other]
+            unseen = predict_unseen(trained, pairs).trials
+            columns: list[list[Miss]] = [[], [], []]
+            for one, found in zip(prepare(pairs)[0], unseen, strict=True):
+                if one is None or found is None:
+                    continue
+                same = replace(one, reference_depth=trained.reference_depth)
+                release = math.inf if one.t_release is None else one.t_release
+                parts = [(-math.inf, math.inf), (-math.inf, release), (release, math.inf)]
+                for column, part in zip(columns, parts, strict=True):
+                    if part[0] < math.inf:
+                        column.append(Miss.of(model, trained.theta, same, found, part))
+            cells += [f'{pooled(column):.1f} %' if column else '-' for column in columns]
+            cells.append(f'{pooled_shape(columns[0]):.1f} %')
+        yield f'| {effects(model)} | ' + ' | '.join(cells) + ' |'
+        print(f'elsewhere: {model.name}', flush=True)
+    yield ''
+
+
 def cell(miss: Miss) -> str:
     """Return an error in percent of the peak and in newtons."""
     return f'{miss.percent:.1f} % ({miss.rmse:.2g} N)'
@@ -312,6 +361,10 @@ def main() -> None:
                 print(f'{one.title}: not there, give its folder by --data', flush=True)
         for one, campaign in campaigns:
             lines += tables(one, campaign, started)
+        others = [(one, read(one, args.data, Path(scratch))) for one in OTHERS]
+        found = [(one, other) for one, other in others if other is not None]
+        if found and campaigns[0][0] is SETS[0]:
+            lines += elsewhere(campaigns[0][1], found)
         lines += singles(campaigns)
     print('\n'.join(lines))
     if args.out is not None:
