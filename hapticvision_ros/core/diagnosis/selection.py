@@ -40,7 +40,7 @@ from hapticvision_ros.core.effects import BY_NAME, EFFECTS
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
-GATE: Final = 6.0
+GATE: Final = 10.0
 """Gain in Schwarz's criterion from which on an effect is there."""
 LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
@@ -48,6 +48,8 @@ WEAKEST: Final = 0.05
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
+_RESOLVED: Final = 6.0
+"""Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _FLEETING: Final = 3.0
 """How much stronger it must be where it only draws jumps out over less than a sample."""
 _SECONDARY: Final = 0.1
@@ -151,6 +153,14 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
         return False
     trial = bench.trials[0]
     return time_constant(_values(refit)) < max(trial.interval, trial.path.interval)
+
+
+def resolved(bench: Workbench) -> bool:
+    """Return whether the encoders show in every trial how the arm changes its speed."""
+    return all(
+        any(bend.duration > _RESOLVED * trial.path.interval for bend in trial.path.bends)
+        for trial in bench.trials
+    )
 
 
 def seldom(bench: Workbench, refit: Refit, effect: str) -> bool:
@@ -313,14 +323,14 @@ def select(
 
 def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[Trialled]:
     """Return the candidates that may be accepted, best first."""
+    quick = weakest * _FLEETING if resolved(bench) else math.inf
     return [
         each
         for each in tried
         if each.refit is not None
         and each.gain > GATE
         and not seldom(bench, each.refit, each.effect)
-        and each.strength
-        > weakest * (_FLEETING if fleeting(bench, each.refit, each.effect) else 1.0)
+        and each.strength > (quick if fleeting(bench, each.refit, each.effect) else weakest)
     ]
 
 

@@ -33,7 +33,7 @@ import contextlib
 from dataclasses import dataclass, replace
 import math
 from types import MappingProxyType
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
@@ -65,6 +65,8 @@ _SETTLED: Final = 0.03
 """Relative change of the noise at which a further round is not worth it."""
 _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
+_QUICK: Final = 20.0
+"""Relaxation, in samples, below which the force of a push shows none."""
 _OTHER: Final = 0.3
 """Relative change of the noise from which on it may be of another kind."""
 _OUTLYING: Final = 6.0
@@ -632,8 +634,10 @@ def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
             values[places_of(new.model, [name])] = old_values[places_of(old.model, [name])]
     result[: new.p] = np.clip(new.model.theta(values), *new.model.bounds)
     known = {trial.name: index for index, trial in enumerate(old.trials)}
-    for trial, place in zip(new.trials, new.places, strict=True):
-        index = known.get(trial.name)
+    # Two trials may have one name.
+    same = [trial.name for trial in old.trials] == [trial.name for trial in new.trials]
+    for number, (trial, place) in enumerate(zip(new.trials, new.places, strict=True)):
+        index = number if same else known.get(trial.name)
         if index is None:
             continue
         own = dict(zip(old.own_names(old.trials[index]), state[old.places[index]], strict=True))
@@ -796,26 +800,58 @@ def fit_prepared(
             raise UsageError(
                 f'the model has no parameter {name!r}: choose among {", ".join(model.names)}'
             )
-    limit = longest_memory(usable)
     if near is None:
         force_noise, height_noise = _first_noise(usable)
-        problem, state = _search(usable, model, start, force_noise, height_noise)
+        problem, states = _search(usable, model, start, force_noise, height_noise)
     else:
         force_noise, height_noise = near.noise.force, near.noise.height
         problem = Problem(model, usable)
-        state = carried(near.problem, near.state, problem)
+        states = [carried(near.problem, near.state, problem)]
     blur = 1.0 if near is None else near.noise.blur
-    if scatter is not None:
-        alike, problem = problem, Problem(model, usable, scatter)
-        state = carried(alike, state, problem)
+    limit = longest_memory(usable)
+    ends = []
+    for state in states:
+        # Each has a problem of its own, whose weights are those of its noise.
+        own = Problem(model, usable, scatter)
+        begin = carried(problem, state, own)
+        ends.append(
+            _weighted(own, begin, force_noise, height_noise, blur, limit, fresh=near is None)
+        )
+    # Which of several valleys is right shows once each has its own noise.
+    best = min(ends, key=lambda end: end.solution.cost + end.problem.log_determinant)
+    return _result(prepared, best, warnings)
+
+
+class _End(NamedTuple):
+    """Where a search with its own noise has ended."""
+
+    problem: Problem
+    solution: Solution
+    force_noise: SensorNoise
+    height_noise: SensorNoise
+    blur: float
+
+
+def _weighted(
+    problem: Problem,
+    state: FloatArray,
+    force_noise: SensorNoise,
+    height_noise: SensorNoise,
+    blur: float,
+    limit: tuple[float, float],
+    *,
+    fresh: bool,
+) -> _End:
+    """Return the best parameters with the noise that their residual shows."""
+    trials = problem.trials
     for turn in range(_ROUNDS):
         moved = replace_onsets(problem, state, force_noise, blur) if turn else False
         jumps = problem.jumps(state, blur)
         forces, heights = problem.noise_records(state, jumps)
-        before, first = force_noise, turn == 0 and near is None
-        force_noise = follow(forces, force_noise, usable[0].interval, first, limit[0])
+        before, first = force_noise, turn == 0 and fresh
+        force_noise = follow(forces, force_noise, trials[0].interval, first, limit[0])
         if heights:
-            interval = usable[0].height_interval
+            interval = trials[0].height_interval
             height_noise = follow(heights, height_noise, interval, first, limit[1])
         blur = problem.sharpest(state, force_noise, blur)
         problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
@@ -823,11 +859,12 @@ def fit_prepared(
         state = solution.theta
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
-            problem = Problem(model, cleaned, scatter)
+            scatter = problem.scatter if problem.scatter.size else None
+            problem = Problem(problem.model, cleaned, scatter)
             continue
         if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0 and not moved:
             break
-    return _result(prepared, problem, solution, force_noise, height_noise, blur, warnings)
+    return _End(problem, solution, force_noise, height_noise, blur)
 
 
 def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
@@ -937,14 +974,20 @@ def _search(
     start: Mapping[str, float] | None,
     force_noise: SensorNoise,
     height_noise: SensorNoise,
-) -> tuple[Problem, FloatArray]:
-    """Return the problem with white noise, and the best state from several starts."""
+) -> tuple[Problem, list[FloatArray]]:
+    """Return the problem with white noise, and the states from several starts, best first."""
     base = Model()
     body = identify(trials)
     problem = Problem(base, trials)
     given = {} if start is None else dict(start)
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     starts = [values]
+    relaxation = (body.C1 + body.C2) / body.K1
+    if relaxation < _QUICK * trials[0].interval:
+        # The force shows a dashpot alone, which the two may be together: the height tells.
+        both = 2.0 * body.C1 * body.C2 / (body.C1 + body.C2)
+        contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
+        starts.append({'K1': both / contact, 'C1': both, 'C2': both})
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})
     ends = []
@@ -956,14 +999,15 @@ def _search(
             # Where the force jumps depends on the onsets.
             problem.set_noise(force_noise, height_noise, problem.jumps(state))
             state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
-        problem.set_noise(force_noise, height_noise)
+        problem.set_noise(force_noise, height_noise, problem.jumps(state))
         residual, _ = problem.evaluate(state)
-        ends.append((float(residual @ residual), state))
+        ends.append((float(residual @ residual) + problem.log_determinant, state))
     # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
-    state = min(ends, key=lambda end: end[0])[1]
+    ends.sort(key=lambda end: end[0])
+    state = ends[0][1]
     problem.set_noise(force_noise, height_noise, problem.jumps(state))
     if not model.effects:
-        return problem, state
+        return problem, [each for _, each in ends]
     K1, C1, C2 = base.values(state[:3])
     scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
@@ -1001,7 +1045,7 @@ def _search(
     again = best.theta.copy()
     find_onsets(whole, again)
     moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
-    return whole, min((best, moved), key=lambda found: found.cost).theta
+    return whole, [min((best, moved), key=lambda found: found.cost).theta]
 
 
 def find_onsets(problem: Problem, state: FloatArray) -> None:
@@ -1232,16 +1276,9 @@ def _sudden(residual: FloatArray, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return kept
 
 
-def _result(
-    prepared: Sequence[FitTrial | None],
-    problem: Problem,
-    solution: Solution,
-    force_noise: SensorNoise,
-    height_noise: SensorNoise,
-    blur: float,
-    known: Sequence[str],
-) -> Fit:
+def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]) -> Fit:
     """Return the fit with its errors and warnings."""
+    problem, solution, force_noise, height_noise, blur = end
     model, p, state = problem.model, problem.p, solution.theta
     covariance = solution.covariance()
     warnings = list(known)

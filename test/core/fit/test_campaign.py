@@ -24,6 +24,8 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.campaign import Fit, fit
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.records import Segmentation, Signal
+from hapticvision_ros.core.segmentation import segment
+from hapticvision_ros.sim import campaigns, specimen
 import numpy as np
 import pytest
 
@@ -239,3 +241,19 @@ def test_an_unknown_start_is_refused() -> None:
     """A start for what the model does not have is a mistake."""
     with pytest.raises(UsageError, match="no parameter 'K9'"):
         fit(campaign(0, 1), start={'K9': 1.0})
+
+
+def test_of_two_valleys_the_one_that_the_height_shows_is_found() -> None:
+    """In the force of a quick push both dashpots are one; the height alone tells them apart."""
+    made = campaigns.Campaign(
+        specimen.Body(1.0, 41.0, 57.0),
+        tuple(campaigns.Push(speed, 0.003, 6.0, 4.0) for speed in (0.01, 0.025)),
+        campaigns.Sensors(
+            campaigns.ForceNoise(0.001, 0.003, 0.01), 2e-5, force_rate=500.0, tool_rate=50.0
+        ),
+    )
+    trials = campaigns.run(made, seed=2).trials
+    found = fit([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
+    # A thousand means scatter by a few hundredths about one.
+    assert found.height_chi2 == pytest.approx(1.0, abs=0.3)
+    assert not any('misses the height' in warning for warning in found.warnings)
