@@ -308,12 +308,20 @@ class RheologyFitter(CellNode):
         return response
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        """Forget the trial, and keep all that comes from now on: answer its number and topics."""
+        """
+        Forget the trial, and keep all that comes from now on.
+
+        The answer is its number, the topics that are heard, and with a question mark those that
+        nobody publishes so far.
+        """
         self._take()
         self._begin()
         self._reset = True
         self._message_clock.forget(0)
-        heard = [topic.name for topic, intake in self._intakes.items() if intake.matched]
+        heard = [
+            topic.name if intake.matched else f'{topic.name}?'
+            for topic, intake in self._intakes.items()
+        ]
         if self._message_clock.matched:
             heard.append(CLOCK)
         response.success = True
