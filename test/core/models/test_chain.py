@@ -435,6 +435,46 @@ def test_no_body_gives_back_more_work_than_was_done_on_it(
     assert work.min() >= -slack
 
 
+@settings(max_examples=100, deadline=None)
+@given(
+    C1=strategies.floats(1e2, 1e6),
+    C2=strategies.floats(1e3, 1e7),
+    K_0=strategies.sampled_from((math.inf, 2e3, 1e6)),
+    K_m=strategies.sampled_from((math.inf, 3e4)),
+    K_p=strategies.sampled_from((0.0, 200.0)),
+    F_ad=strategies.sampled_from((0.0, 0.5)),
+    units=strategies.lists(
+        strategies.tuples(strategies.floats(1e2, 1e5), strategies.floats(1e2, 1e6)), max_size=4
+    ),
+    seed=strategies.integers(0, 10_000),
+)
+def test_the_response_is_the_same_with_and_without_its_sensitivities(
+    C1: float,
+    C2: float,
+    K_0: float,
+    K_m: float,
+    K_p: float,
+    F_ad: float,
+    units: list[tuple[float, float]],
+    seed: int,
+) -> None:
+    # The two ways of a linear chain through a run of equal steps are not the same code.
+    body = Body(C1=C1, C2=C2, K_0=K_0, K_m=K_m, K_p=K_p, F_ad=F_ad, units=tuple(units))
+    rng = np.random.default_rng(seed)
+    # Runs of steps of one length each, and a second push.
+    t = np.concatenate(([0.0], np.cumsum(np.repeat(rng.uniform(0.01, 0.3, 12), 25))))
+    d = np.interp(
+        t, np.linspace(0.0, t[-1], 7), [-0.001, DEPTH, DEPTH, -0.003, -0.003, DEPTH, 0.0]
+    )
+    alone = respond(t, d, body.chain())
+    along = np.zeros(len(Slot))
+    along[Slot.K1] = 1.0
+    beside = respond(t, d, body.chain(), (Chain(along, *np.zeros((2, len(units)))),))
+    # Sums in another order, over 300 steps.
+    assert alone.force == pytest.approx(beside.force, abs=1e-10 * np.abs(beside.force).max())
+    assert alone.surface == pytest.approx(beside.surface, abs=1e-10 * DEPTH)
+
+
 def test_a_tool_in_air_meets_nothing() -> None:
     t = np.linspace(0.0, 5.0, 501)
     found = respond(t, np.full(t.size, -1e-3), Body().chain(), (Body().chain(),))
