@@ -18,6 +18,7 @@ Contact-point planner: chooses the contact point and the push direction from the
 Clouds are kept as bytes, the latest only, and are read while a plan is asked for.
 """
 
+import time
 from typing import Any, Final
 
 from hapticvision_ros.bag.contract import CONTACT_POINT, PLAN, POINTS, PUSH_DIRECTION, TOOL_HEIGHT
@@ -53,7 +54,7 @@ PARAMETERS: Final = (
         'cloud_timeout',
         'double',
         's',
-        'A plan is refused when its clouds have not come within this time.',
+        'A plan is refused when a cloud or the tool height has not come within this time.',
         0.1,
         60.0,
     ),
@@ -175,6 +176,8 @@ class ContactPointPlanner(CellNode):
     async def _plan_and_publish(self) -> str:
         plans: list[ContactPlan] = []
         stamp_ns = 0
+        timeout = self.parameters.real('cloud_timeout')
+        deadline = time.monotonic() + timeout
         while len(plans) < self.parameters.integer('clouds'):
             message = deserialize_message(await self._next_cloud(), self._cloud_class)
             if message.header.frame_id != POINTS.frame_id:
@@ -182,12 +185,19 @@ class ContactPointPlanner(CellNode):
                     f"The clouds are in frame '{message.header.frame_id}' instead of "
                     f"'{POINTS.frame_id}': calibrate the range sensor."
                 )
+            ceiling = self._latest_tool_height()
+            if ceiling is None:
+                # The arm may just start; without its height the tool would be part of the object.
+                if time.monotonic() > deadline:
+                    raise InputError(
+                        f'No tool height came within {timeout:g} s: see whether the arm push '
+                        'controller runs.'
+                    )
+                continue
             stamp_ns = ns_from_stamp(message.header.stamp)
             plans.append(
                 plan_contact(
-                    xyz_from_message(message),
-                    ceiling=self._latest_tool_height(),
-                    settings=self._settings(),
+                    xyz_from_message(message), ceiling=ceiling, settings=self._settings()
                 )
             )
         x, y, z = np.median([plan.contact_point for plan in plans], axis=0)

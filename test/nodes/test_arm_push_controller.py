@@ -41,7 +41,7 @@ QUICK_PUSH = {
     # A starved controller is stopped by the arm's watchdog, within 0.1 s: 1.5 mm.
     'release_speed': 0.015,
     # Other tests and builds may hold up these processes for some tenths of a second.
-    'stale_time': 0.5,
+    'stale_time': 1.0,
 }
 BLOCK_HEIGHT = 0.040
 SURFACE = point_to_message((0.0, 0.0, BLOCK_HEIGHT), 0, CONTACT_POINT.frame_id)

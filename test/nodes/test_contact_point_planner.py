@@ -14,11 +14,18 @@
 
 """The contact-point planner as a process, on clouds that the test sends."""
 
-from hapticvision_ros.bag.contract import CONTACT_POINT, PLAN, POINTS, PUSH_DIRECTION
+from hapticvision_ros.bag.contract import (
+    CONTACT_POINT,
+    PLAN,
+    POINTS,
+    PUSH_DIRECTION,
+    TOOL_HEIGHT,
+)
 from hapticvision_ros.core.devices import RangeFrame
 from hapticvision_ros.nodes.conversions import (
     cloud_to_message,
     point_from_message,
+    scalar_to_message,
     vector_from_message,
 )
 import numpy as np
@@ -50,14 +57,16 @@ def planner(start_node):
 
 @pytest.fixture
 def show(probe):
-    """Send one cloud again and again, as a range sensor would."""
+    """Send one cloud again and again, as a range sensor would, and the height of the tool."""
     timers = []
 
-    def show(cloud, frame_id=POINTS.frame_id):
-        publisher = probe.publisher(POINTS)
+    def show(cloud, frame_id=POINTS.frame_id, tool_height=2.0 * TOP):
+        publisher, arm = probe.publisher(POINTS), probe.publisher(TOOL_HEIGHT)
 
         def send():
             stamp = probe.node.get_clock().now().nanoseconds
+            if tool_height is not None:
+                arm.publish(scalar_to_message(tool_height))
             publisher.publish(cloud_to_message(RangeFrame(stamp, cloud), frame_id))
 
         timers.append(probe.node.create_timer(0.05, send))
@@ -106,6 +115,15 @@ def test_without_clouds_the_plan_is_refused_in_time(start_node, probe):
     assert 'No cloud came within 1 s' in answer.message
     # And the service still answers.
     assert 'No cloud came' in probe.call(PLAN, Trigger.Request()).message
+
+
+def test_without_the_tools_height_the_tool_is_not_taken_for_the_object(start_node, probe, show):
+    start_node('contact_point_planner', {'cloud_timeout': 1.0})
+    show(top_view((0.0, 0.0, 0.08, 0.05)), tool_height=None)
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert not answer.success
+    # On a loaded machine the clouds may not come either.
+    assert 'No tool height came within 1 s' in answer.message or 'No cloud' in answer.message
 
 
 def test_clouds_in_a_foreign_frame_are_refused(planner, probe, show):

@@ -80,7 +80,7 @@ def cell(world: int, start_node: Any, tmp_path: Path) -> dict[str, Any]:
             'range_sensor_driver', port | {'width': 160, 'height': 120}
         ),
         'arm_push_controller': start_node(
-            'arm_push_controller', port | {'tool_height_rate': 100.0, 'stale_time': 0.5}
+            'arm_push_controller', port | {'tool_height_rate': 100.0, 'stale_time': 1.0}
         ),
         'contact_point_planner': start_node('contact_point_planner'),
         'rheology_fitter': start_node('rheology_fitter'),
