@@ -32,8 +32,8 @@ help: ## Say what there is.
 demo: setup ## Run an experiment on the simulated cell, fit it and real data, write out/demo.
 	@$(BIN)/hapticvision demo --out out/demo $(if $(SILICONE),--silicone "$(SILICONE)")
 
-test: setup ## Run all tests, the linters among them.
-	@$(BIN)/python -m pytest
+test: setup ## Run all tests, the linters among them, on two processors.
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 setup: ## Make .venv from requirements.lock, unless it is there.
 	@tools/setup.sh

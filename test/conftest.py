@@ -16,7 +16,10 @@
 """What holds for all tests."""
 
 import os
+from pathlib import Path
 import signal
+
+import pytest
 
 # Read when numpy is imported, here and by the processes that tests start: the matrices are small,
 # and threads inside each product would only get into each other's way.
@@ -26,3 +29,50 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 # test starts and interrupts would ignore it as well, and never end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+HERE = Path(__file__).parent
+LIVE = ('nodes', 'replay', 'cli/test_cell', 'cli/test_demo', 'cli/test_replay', 'sim/test_server')
+"""Tests of processes that work in real time, one after the other."""
+TOGETHER = ('report', 'core/diagnosis')
+"""Folders whose tests share what takes long to make."""
+LONG = ('test_lint', 'test_doc_examples', 'core/diagnosis', 'report', 'test_package', 'cli')
+"""Files that take long, so that they do not come last."""
+YIELDS = 10
+"""By how much the other tests are nicer than those that work in real time."""
+
+
+def _place(item: pytest.Item) -> str:
+    return item.path.relative_to(HERE).as_posix()
+
+
+def _is_live(item: pytest.Item) -> bool:
+    return _place(item).startswith(LIVE)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """
+    Let what shares fixtures be run by one worker, and all live tests by one.
+
+    That one begins with them, the others with what takes long.
+    """
+    if not config.pluginmanager.hasplugin('xdist'):
+        return
+    for item in items:
+        place = _place(item)
+        together = [folder for folder in TOGETHER if place.startswith(folder)]
+        group = 'live' if _is_live(item) else together[0] if together else place
+        item.add_marker(pytest.mark.xdist_group(group))
+    if 'PYTEST_XDIST_WORKER' in os.environ:
+        items.sort(key=lambda item: (not _is_live(item), not _place(item).startswith(LONG)))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Lower the priority of a worker whose first test is not live, once."""
+    if 'PYTEST_XDIST_WORKER' not in os.environ or item.config.stash.get(_BEGUN, False):
+        return
+    item.config.stash[_BEGUN] = True
+    if not _is_live(item):
+        os.nice(YIELDS)
+
+
+_BEGUN = pytest.StashKey[bool]()
