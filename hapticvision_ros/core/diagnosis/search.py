@@ -27,6 +27,7 @@ from typing import Final
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
+from hapticvision_ros.core.diagnosis.excess import Excess, louder
 from hapticvision_ros.core.diagnosis.likeness import left_out, pairs, Tangent, visible
 from hapticvision_ros.core.diagnosis.records import (
     Candidate,
@@ -233,6 +234,12 @@ class _Search:
                 status = 'partly_explained'
                 named = [_widened(each) for each in sets]
         unexplained = self._unexplained(bench, base, chosen, rest)
+        if not rest:
+            loud = louder(chosen, self.phases)
+            if loud:
+                # What is left has no smooth form, and has passed for noise.
+                status = 'partly_explained' if order else 'unexplained'
+                unexplained = self._loud(bench, base, chosen, loud)
         if unrepeated is not None and (order or unrepeated >= _TOO_MUCH):
             # An effect of no library may hide in what stands in for scatter.
             status = 'partly_explained' if order else 'unexplained'
@@ -375,6 +382,17 @@ class _Search:
         return Unexplained(
             share_of_chi2=left**2 / (left**2 + taken**2),
             where=tuple(describe(found) for found in rest),
+        )
+
+    def _loud(
+        self, bench: Workbench, base: Refit, chosen: Refit, loud: Sequence[Excess]
+    ) -> Unexplained:
+        """Return what is left where it is only seen to be louder than the noise."""
+        left = max(each.ratio for each in loud) ** 2 - 1.0
+        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        return Unexplained(
+            share_of_chi2=left / (left + taken**2) if left > 0.0 else 0.0,
+            where=tuple(map(str, loud)),
         )
 
     def _differing(

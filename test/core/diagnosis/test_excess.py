@@ -1,0 +1,63 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""What is left in no smooth form is seen by its loudness."""
+
+from collections.abc import Callable
+from typing import Any
+
+from hapticvision_ros.core.diagnosis.excess import Excess, louder
+from hapticvision_ros.core.records import Trial
+from hapticvision_ros.sim.campaigns import peak_force
+from hapticvision_ros.sim.specimen import Undeclared
+import pytest
+
+
+@pytest.fixture(scope='module')
+def heard(world: Any) -> Callable[..., tuple[Excess, ...]]:
+    """Return what is louder in contact beside the base model."""
+
+    def hear(*effects: Undeclared, change: Callable[[Trial], Trial] = lambda t: t) -> Any:
+        measured = world.measure(world.campaign(), *effects, seed=1, change=change)
+        _, base = measured.bench()
+        return louder(base, measured.phases)
+
+    return hear
+
+
+def test_noise_is_as_loud_in_contact_as_without(heard: Any) -> None:
+    assert heard() == ()
+
+
+def test_a_knock_in_one_hold_is_heard_there(world: Any, heard: Any) -> None:
+    amplitude = 0.1 * peak_force(world.campaign())
+    (found,) = heard(Undeclared('knock', (amplitude, 4.8, 0.5)))
+    assert found.channel == 'force'
+    # It comes in the middle of the campaign.
+    assert found.trial == 'trial_03'
+    assert found.trial_ratio > 1.5 * found.ratio > 1.5
+    assert 'force, in contact' in str(found)
+
+
+def test_a_range_sensor_with_another_scale_is_seen(heard: Any) -> None:
+    (found,) = heard(Undeclared('height_gain', (-0.07,)))
+    assert found.channel == 'displacement height'
+    assert found.ratio > 1.3
+
+
+def test_without_a_height_the_force_alone_is_held_against_its_noise(
+    heard: Any, without_height: Callable[[Trial], Trial]
+) -> None:
+    assert heard(Undeclared('height_gain', (-0.07,)), change=without_height) == ()
