@@ -985,7 +985,7 @@ def _search(
     relaxation = (body.C1 + body.C2) / body.K1
     if relaxation < _QUICK * trials[0].interval:
         # The force shows a dashpot alone, which the two may be together: the height tells.
-        both = 2.0 * body.C1 * body.C2 / (body.C1 + body.C2)
+        both = 2.0 * body.C2
         contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
         starts.append({'K1': both / contact, 'C1': both, 'C2': both})
     if any(name in values for name in given):
