@@ -69,7 +69,7 @@ setup(
         'console_scripts': [
             'hapticvision = hapticvision_ros.cli.main:main',
             'simulated_world = hapticvision_ros.sim.server:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in (*NODES, *TOOLS)),
+            *(f'{node} = {NAME}.nodes.start:main' for node in (*NODES, *TOOLS)),
         ],
     },
 )

@@ -15,31 +15,33 @@
 """``hapticvision cell``: the seven nodes and the simulated cell, where there is no ros2 launch."""
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli.processes import node, program, ros_environment, Supervisor
 from hapticvision_ros.cli.replay import check_domain
 from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.share import share_folder
 
+if TYPE_CHECKING:
+    from hapticvision_ros.sim.config import WorldConfig
+
+ARM: Final = 'arm_push_controller'
+ORCHESTRATOR: Final = 'experiment_orchestrator'
 NODES: Final = (
     'range_sensor_driver',
     'load_cell_driver',
-    'arm_push_controller',
+    ARM,
     'contact_point_planner',
     'phase_segmenter',
     'rheology_fitter',
-    'experiment_orchestrator',
+    ORCHESTRATOR,
 )
 WORLD: Final = 'simulated_world'
 CLIENT: Final = 'experiment_client'
 WORLD_CONFIG: Final = 'sim_world.yaml'
-NEEDS_WORLD: Final = (
-    'range_sensor_driver',
-    'load_cell_driver',
-    'arm_push_controller',
-    'experiment_orchestrator',
-)
+NEEDS_WORLD: Final = ('range_sensor_driver', 'load_cell_driver', ARM, ORCHESTRATOR)
 WORLD_DEADLINE: Final = 30.0
 CLIENT_GRACE: Final = 45.0
 """How long the client may take to cancel: the tool has to retract [s]."""
@@ -107,7 +109,56 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(f'--config {args.config} holds none of {", ".join(sorted(known))}.')
     from hapticvision_ros.sim.config import load_config
 
-    load_config(_file(args.config, WORLD_CONFIG)).material(args.object)
+    world = load_config(_file(args.config, WORLD_CONFIG))
+    world.material(args.object)
+    if args.run:
+        _check_goal(args, world)
+
+
+def _check_goal(args: argparse.Namespace, world: 'WorldConfig') -> None:
+    """Refuse an experiment that the arm would refuse, while nothing runs."""
+    from hapticvision_ros.core.experiment import ExperimentGoal
+    from hapticvision_ros.core.push_control import check_goal, PushGoal, PushLimits
+
+    asked = _parameters(args.config, ORCHESTRATOR)
+    given = {name: value for name in GOAL_OPTIONS if (value := getattr(args, name)) is not None}
+    asked = {name: asked[name] for name in GOAL_OPTIONS} | given
+    goal = ExperimentGoal(
+        push_speeds=tuple(asked.pop('speeds')), depths=tuple(asked.pop('depths')), **asked
+    )
+    arm = _parameters(args.config, ARM)
+    limits = PushLimits(**{field.name: arm[field.name] for field in fields(PushLimits)})
+    usual = {field.name: arm[field.name] for field in fields(PushGoal) if field.name in arm}
+    for trial in goal.trials():
+        push = PushGoal(
+            **usual
+            | {
+                'push_speed': trial.push_speed,
+                'depth': trial.depth,
+                'hold_time': goal.hold_time,
+                'recover_time': goal.recover_time,
+            },
+            surface_height=world.block.height,
+        )
+        check_goal(push, limits, world.arm.start_height)
+
+
+def _parameters(folder: Path | None, name: str) -> dict[str, Any]:
+    """Return the parameters that a node will have; what is of a wrong type is left to the node."""
+    import yaml
+
+    values: dict[str, Any] = {}
+    for path in (share_folder() / 'config' / f'{name}.yaml', _file(folder, f'{name}.yaml')):
+        if path is None:
+            continue
+        try:
+            content = dict(yaml.safe_load(path.read_text(encoding='utf-8')))
+            sections = [content[key] for key in ('/**', name, f'/{name}') if key in content]
+            own = {k: v for section in sections for k, v in section['ros__parameters'].items()}
+        except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f'{path} is no ROS parameter file that can be read.') from error
+        values |= {k: v for k, v in own.items() if isinstance(v, type(values.get(k, v)))}
+    return values
 
 
 def _file(folder: Path | None, name: str) -> Path | None:

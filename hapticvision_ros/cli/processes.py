@@ -65,7 +65,10 @@ def program(module: str, *arguments: str) -> list[str]:
 
     The program gets SIGTERM when the present process dies.
     """
+    # Until a program has its own handlers, Ctrl-C ends it without a word.
     code = (
+        'import signal\n'
+        'signal.signal(signal.SIGINT, signal.SIG_DFL)\n'
         'import sys\n'
         f'from {__name__} import end_with\n'
         f'end_with({os.getpid()})\n'
@@ -82,8 +85,6 @@ def node(name: str, *arguments: str) -> list[str]:
 
 def end_with(parent: int) -> None:
     """Let the present process be told to end when the process `parent`, its parent, dies."""
-    # Until a program has its own handlers, Ctrl-C ends it without a word.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         # It died before the kernel was asked.

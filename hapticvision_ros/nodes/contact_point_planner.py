@@ -196,9 +196,7 @@ class ContactPointPlanner(CellNode):
                 continue
             stamp_ns = ns_from_stamp(message.header.stamp)
             plans.append(
-                plan_contact(
-                    xyz_from_message(message), ceiling=ceiling, settings=self._settings()
-                )
+                plan_contact(xyz_from_message(message), ceiling=ceiling, settings=self._settings())
             )
         x, y, z = np.median([plan.contact_point for plan in plans], axis=0)
         direction = np.mean([plan.push_direction for plan in plans], axis=0)

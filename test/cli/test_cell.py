@@ -53,6 +53,13 @@ def domain():
         (['--domain', '233'], 'a ROS domain lies in 0 to 232'),
         (['--config', '/nowhere'], 'is no folder'),
         (['--object', 'granite'], 'granite'),
+        (['--run', '--out', 'x', '--speeds', '0.004', '5'], 'The push_speed is 5000 mm/s'),
+        (['--run', '--out', 'x', '--speeds', 'nan'], 'speeds'),
+        (['--run', '--out', 'x', '--depths', '0.1'], 'The depth is 100 mm'),
+        (['--run', '--out', 'x', '--depths', '-0.005'], 'depths'),
+        (['--run', '--out', 'x', '--repeats', '0'], 'repeats is 0'),
+        (['--run', '--out', 'x', '--hold-time', '-1'], 'hold_time'),
+        (['--run', '--out', 'x', '--hold-time', '1e5'], 'the cell allows 3600 s'),
     ],
 )
 def test_what_cannot_work_is_refused_before_anything_starts(arguments, says, capsys):
@@ -60,6 +67,20 @@ def test_what_cannot_work_is_refused_before_anything_starts(arguments, says, cap
     error = capsys.readouterr().err
     assert says in error
     assert error.count('\n') == 1, 'one sentence'
+
+
+def test_a_limit_of_the_users_own_is_kept(tmp_path, capsys):
+    own = '/**: {ros__parameters: {max_speed: 0.005}}'
+    (tmp_path / 'arm_push_controller.yaml').write_text(own)
+    run = ['cell', '--run', '--out', 'x', '--config', str(tmp_path), '--speeds', '0.008']
+    assert main(run) == 2
+    assert 'up to 5 mm/s' in capsys.readouterr().err
+
+
+def test_a_parameter_file_that_is_none_is_told(tmp_path, capsys):
+    (tmp_path / 'arm_push_controller.yaml').write_text('- 1')
+    assert main(['cell', '--run', '--out', 'x', '--config', str(tmp_path)]) == 2
+    assert 'is no ROS parameter file' in capsys.readouterr().err
 
 
 def running(parent: int) -> list[int]:
