@@ -38,7 +38,7 @@ from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.share import share_folder
 
 STOP_GRACE: Final = 6.0
-"""How long a process may take to end after SIGINT, before SIGKILL [s]."""
+"""How long a process may take to end after SIGTERM, before SIGKILL [s]."""
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -178,7 +178,7 @@ class Supervisor:
         labelled : bool
             Whether each line of output is shown with the process's name before it.
         grace : float
-            How long they may take to end after SIGINT [s].
+            How long they may take to end after SIGTERM [s].
 
         Raises
         ------
@@ -307,10 +307,14 @@ def _signal_group(child: _Child, number: signal.Signals) -> None:
 
 
 def _stop_all(stage: list[_Child]) -> None:
-    """Ask processes to end, and end those that do not."""
+    """
+    Ask processes to end, and end those that do not.
+
+    By SIGTERM, which ends an interpreter that has just started without a word.
+    """
     for child in stage:
         if child.popen.poll() is None:
-            _signal_group(child, signal.SIGINT)
+            _signal_group(child, signal.SIGTERM)
     start = time.monotonic()
     for child in stage:
         left = max(0.0, start + child.grace - time.monotonic())

@@ -110,6 +110,14 @@ def test_a_process_that_says_nothing_is_not_waited_for_longer_than_asked():
         supervisor.wait_for_line('world', 'ready', 0.2)
 
 
+def test_a_process_that_has_no_handlers_yet_is_stopped_without_a_word():
+    shown: list[str] = []
+    with Supervisor(os.environ, shown.append) as supervisor:
+        supervisor.start({'sleeper': SLEEPER})
+        supervisor.wait_for_line('sleeper', 'ready', DEADLINE)
+    assert shown == ['[sleeper] ready']
+
+
 def test_a_process_that_ignores_every_signal_is_killed():
     with Supervisor(os.environ, [].append) as supervisor:
         supervisor.start({'stubborn': STUBBORN}, grace=0.2)
