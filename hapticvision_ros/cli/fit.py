@@ -110,6 +110,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the three-element model lacks',
     )
     parser.add_argument(
+        '--bootstrap',
+        type=int,
+        metavar='N',
+        help='simulate N campaigns without an effect, such as 50, and tell in how many of them '
+        'chance alone has one accepted',
+    )
+    parser.add_argument(
         '--units',
         choices=('si', 'paper'),
         default='si',
@@ -133,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
     from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
 
     units = PAPER_UNITS if args.units == 'paper' else SI_UNITS
-    campaign = fit_bags(args.bags, args.hold_out, model)
+    campaign = fit_bags(args.bags, args.hold_out, model, args.bootstrap or 0)
     result, report = write_results(args.out, campaign, args.bags, args.hold_out, units)
     print_tables(campaign, units)
     print(f'\nWrote {result} and {report}.')
@@ -141,7 +148,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def fit_bags(
-    bags: Sequence[Path], hold_out: Sequence[Path], model: 'Model | None' = None
+    bags: Sequence[Path],
+    hold_out: Sequence[Path],
+    model: 'Model | None' = None,
+    bootstrap: int = 0,
 ) -> 'CampaignAnalysis':
     """
     Read bags and fit them together; what takes long is told on standard error.
@@ -152,6 +162,8 @@ def fit_bags(
         Bags to fit, and bags only to predict.
     model : Model, optional
         The model to fit instead of looking for what the base model lacks.
+    bootstrap : int, default 0
+        Campaigns without an effect to simulate.
 
     Returns
     -------
@@ -170,7 +182,13 @@ def fit_bags(
     count = len(bags)
     analyses = _analyse([*bags, *hold_out])
     with Progress() as progress:
-        return analyse_campaign(analyses[:count], analyses[count:], model=model, progress=progress)
+        return analyse_campaign(
+            analyses[:count],
+            analyses[count:],
+            model=model,
+            progress=progress,
+            bootstrap=bootstrap,
+        )
 
 
 def write_results(
@@ -265,6 +283,13 @@ def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse what does not fit together, before anything is read."""
+    if args.bootstrap is not None:
+        if args.bootstrap < 1:
+            raise UsageError(f'--bootstrap {args.bootstrap}: simulate one campaign or more.')
+        if args.model is not None:
+            raise UsageError(
+                '--bootstrap tests the search for effects, which --model replaces: leave one out.'
+            )
     there = next((path for path in (args.out, *args.out.parents) if path.exists()), args.out)
     if not there.is_dir():
         raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')

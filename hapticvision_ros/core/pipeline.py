@@ -172,6 +172,7 @@ def analyse_campaign(
     model: 'Model | None' = None,
     progress: Progress | None = None,
     workers: int = 1,
+    bootstrap: int = 0,
 ) -> CampaignAnalysis:
     """
     Fit the base model to several analysed trials, and the model that has what it lacks.
@@ -189,6 +190,8 @@ def analyse_campaign(
         Told what is being done.
     workers : int
         Threads.
+    bootstrap : int, default 0
+        Campaigns without an effect that are simulated to tell what chance does in the diagnosis.
 
     Returns
     -------
@@ -200,14 +203,18 @@ def analyse_campaign(
 
     tell = _say_nothing if progress is None else progress
     try:
-        before, after, diagnosis, warnings = _fits(trials, model, tell, workers)
+        before, after, diagnosis, warnings = _fits(trials, model, tell, workers, bootstrap)
     except UsageError as error:
         return _nothing_fitted(trials, held_out, Model(), str(error))
     return _compared(trials, held_out, before, after, diagnosis, warnings, tell)
 
 
 def _fits(
-    trials: Sequence[TrialAnalysis], model: 'Model | None', tell: Progress, workers: int
+    trials: Sequence[TrialAnalysis],
+    model: 'Model | None',
+    tell: Progress,
+    workers: int,
+    campaigns: int,
 ) -> 'tuple[Fit, Fit | None, Diagnosis | None, list[str]]':
     """Return the base fit, that with effects, what was found, and what to know of it."""
     from hapticvision_ros.core.composition import Model
@@ -217,6 +224,16 @@ def _fits(
         from hapticvision_ros.core.diagnosis.search import diagnose
 
         found = diagnose(trials, progress=tell, workers=workers)
+        if campaigns:
+            from hapticvision_ros.core.diagnosis.bootstrap import bootstrap
+
+            used = [
+                trial.segmentation
+                for trial, fitted in zip(trials, found.before.trials, strict=True)
+                if fitted is not None
+            ]
+            chance = bootstrap(found, used, campaigns, progress=tell, workers=workers)
+            found = replace(found, bootstrap=chance)
         told = list(found.warnings)
         if found.effects:
             return found.before, found.after, found, told

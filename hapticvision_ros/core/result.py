@@ -19,6 +19,7 @@ import math
 from typing import Any, Final
 
 from hapticvision_ros.core.diagnosis.records import (
+    Bootstrap,
     Candidate,
     Channel,
     Diagnosis,
@@ -228,6 +229,7 @@ def _diagnosis(found: Diagnosis) -> dict[str, Any]:
         if rest is None
         else {'share_of_chi2': _number(rest.share_of_chi2), 'where': list(rest.where)},
         'next_trial': None if found.next_trial is None else _next_trial(found.next_trial),
+        'bootstrap': None if found.bootstrap is None else _bootstrap(found.bootstrap),
     }
 
 
@@ -251,6 +253,15 @@ def _next_trial(trial: NextTrial) -> dict[str, Any]:
         'separates': list(trial.separates),
         'gain': _number(trial.gain),
         'reason': trial.reason,
+    }
+
+
+def _bootstrap(found: Bootstrap) -> dict[str, Any]:
+    """Return the entry of what chance does."""
+    return {
+        'campaigns': found.campaigns,
+        'false_alarms': found.false_alarms,
+        'p_value': _number(found.p_value),
     }
 
 

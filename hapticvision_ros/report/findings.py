@@ -14,7 +14,7 @@
 
 """A diagnosis in plain words, for the command line and the report."""
 
-from hapticvision_ros.core.diagnosis.records import Diagnosis, NextTrial
+from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis, NextTrial
 from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
 
 
@@ -36,6 +36,8 @@ def findings(diagnosis: Diagnosis, units: UnitSystem) -> list[str]:
 
     """
     sentences = [_answer(diagnosis)]
+    if diagnosis.bootstrap is not None:
+        sentences.append(_chance(diagnosis.bootstrap))
     for leader, alike in zip(diagnosis.effects, diagnosis.sets, strict=True):
         others = [name for name in alike if name != leader]
         if others:
@@ -65,6 +67,15 @@ def _answer(diagnosis: Diagnosis) -> str:
         return f'What the base model lacks is explained in part by {effects}.'
     tried = '' if not diagnosis.effects else f', not even with {effects}'
     return f'The base model lacks something that no effect of the library explains{tried}.'
+
+
+def _chance(found: Bootstrap) -> str:
+    """Return what chance does as a sentence."""
+    p = format_number(found.p_value, digits=2)
+    return (
+        f'Of {found.campaigns} campaigns that the base model simulates, chance has an effect '
+        f'accepted in {found.false_alarms}; as large a gain as here has p\u00a0=\u00a0{p}.'
+    )
 
 
 def _advice(trial: NextTrial, units: UnitSystem) -> str:

@@ -123,14 +123,16 @@ def test_a_named_model_is_fitted_beside_the_base_model(
 def test_without_a_model_the_loop_is_closed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _fit(*SOFT, '--out', tmp_path) == 0
+    assert _fit(*SOFT, '--out', tmp_path, '--bootstrap', '1') == 0
     shown = capsys.readouterr()
     assert 'What the base model lacks is explained by yield_force.' in shown.out
-    assert 'trying yield_force' in shown.err.splitlines()
+    assert {'trying yield_force', 'bootstrap 1 of 1'} <= set(shown.err.splitlines())
+    assert 'Of 1 campaigns that the base model simulates' in shown.out
     result = json.loads((tmp_path / 'result.json').read_text())
     # A block of three elements and a yield force of 6 N, with 0.02 N of noise.
     assert result['diagnosis']['status'] == 'explained'
     assert result['diagnosis']['effects'] == ['yield_force']
+    assert result['diagnosis']['bootstrap']['p_value'] == 0.5
     assert result['after']['model'] == 'three-element+yield_force'
     assert result['after']['error']['held_out']['force_chi2'] == pytest.approx(1.0, abs=0.1)
     assert '<section id="diagnosis">' in (tmp_path / 'report.html').read_text()
@@ -242,6 +244,20 @@ def test_a_model_that_cannot_be_is_refused_before_a_bag_is_read(
     assert _fit(tmp_path / 'missing', '--out', tmp_path, '--model', model) == 2
     (error,) = capsys.readouterr().err.splitlines()
     assert complaint in error and error.endswith('.')
+
+
+@pytest.mark.parametrize(
+    ('more', 'complaint'), [(('0',), 'one campaign or more'), (('5', *BASE), 'leave one out')]
+)
+def test_a_bootstrap_of_nothing_is_refused(
+    more: tuple[str, ...],
+    complaint: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert _fit(tmp_path / 'missing', '--out', tmp_path, '--bootstrap', *more) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert complaint in error
 
 
 def test_an_out_that_cannot_be_a_folder_is_refused(

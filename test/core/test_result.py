@@ -22,6 +22,7 @@ from typing import Any
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import (
+    Bootstrap,
     Candidate,
     Diagnosis,
     NextTrial,
@@ -45,7 +46,7 @@ ERROR_KEYS = {'force_rmse_N', 'height_rmse_m', 'force_chi2', 'height_chi2'}
 DETAIL_KEYS = ERROR_KEYS | {'force_percent_of_range', 'height_percent_of_range'}
 PARAMETER_KEYS = {'value', 'std', 'unit', 'identifiable'}
 DIAGNOSIS_KEYS = {'status', 'effects', 'sets', 'not_testable', 'look_alikes', 'ranking'}
-DIAGNOSIS_KEYS |= {'unexplained', 'next_trial'}
+DIAGNOSIS_KEYS |= {'unexplained', 'next_trial', 'bootstrap'}
 BASE, YIELD = Model(), Model(('yield_force',))
 
 
@@ -117,6 +118,7 @@ def _diagnosed(campaign: CampaignAnalysis) -> CampaignAnalysis:
         before=campaign.before.fit,
         after=campaign.after.fit,
         warnings=('a warning of the diagnosis',),
+        bootstrap=Bootstrap(50, 1, 0.02),
     )
     return replace(campaign, diagnosis=found)
 

@@ -20,6 +20,7 @@ from types import MappingProxyType
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import (
+    Bootstrap,
     Candidate,
     Diagnosis,
     NextTrial,
@@ -104,5 +105,6 @@ def diagnosed(campaign: CampaignAnalysis) -> CampaignAnalysis:
         before=both.before.fit,
         after=both.after.fit,
         warnings=('repeats are missing, so scatter cannot be told from an effect',),
+        bootstrap=Bootstrap(50, 2, 0.0196),
     )
     return replace(both, diagnosis=found)

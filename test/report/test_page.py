@@ -159,6 +159,10 @@ def test_a_diagnosis_stands_with_all_that_it_says(
     section = text_of(full.xpath('//section[@id="diagnosis"]')[0])
     sentences = findings(found, SI_UNITS)
     assert sentences[0].endswith('explained in part by parallel_spring.')
+    assert any(
+        s.endswith('accepted in 2; as large a gain as here has p\xa0=\xa00.020.')
+        for s in sentences
+    )
     assert any('0.200\xa0mm/s, 5.00\xa0mm deep, and hold for 60.0\xa0s' in s for s in sentences)
     for text in (*sentences, *found.not_testable, *found.warnings, '4 320', '0.987', 'damage'):
         assert re.sub(r'\s+', ' ', text) in section.replace('\u202f', ' ')

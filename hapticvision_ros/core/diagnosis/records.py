@@ -163,6 +163,27 @@ class NextTrial:
 
 
 @dataclass(frozen=True, slots=True)
+class Bootstrap:
+    """
+    What chance alone does in campaigns that the base model makes.
+
+    Parameters
+    ----------
+    campaigns : int
+        How many were simulated.
+    false_alarms : int
+        In how many of them an effect would have been accepted.
+    p_value : float
+        Share of them, the measured one counted in, that gain as much as the measured one.
+
+    """
+
+    campaigns: int
+    false_alarms: int
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """
     What the base model lacks.
@@ -189,6 +210,8 @@ class Diagnosis:
         The base model and the one with the accepted effects; the same without any.
     warnings : tuple of str
         What a reader must know.
+    bootstrap : Bootstrap or None
+        How often chance does as much; None where it was not asked for.
 
     """
 
@@ -203,3 +226,4 @@ class Diagnosis:
     before: Fit
     after: Fit
     warnings: tuple[str, ...]
+    bootstrap: Bootstrap | None = None

@@ -1,0 +1,127 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""What chance does in campaigns that a fitted model makes."""
+
+from typing import Any
+
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.bootstrap import bootstrap, sensor_noise, simulated
+from hapticvision_ros.core.diagnosis.records import Candidate, Diagnosis
+from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.selection import select
+from hapticvision_ros.core.fit.campaign import fit_prepared
+from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
+import pytest
+
+EFFECTS = ('yield_force', 'parallel_spring', 'friction')
+SHORT = ((0.004, 0.006), (0.012, 0.004))
+NONE = np.empty(0)
+
+
+def diagnosed(measured: Any) -> Diagnosis:
+    """Return a diagnosis among a few effects."""
+    prepared, _ = prepare(measured.pairs)
+    fit = fit_prepared(prepared, Model())
+    bench = Workbench(fit.problem.trials, None)
+    _, rounds = select(bench, bench.base(fit), EFFECTS)
+    first = rounds[0]
+    return Diagnosis(
+        status='explained' if first.alike else 'none',
+        effects=first.alike[:1],
+        sets=(first.alike,) if first.alike else (),
+        not_testable=(),
+        look_alikes=(),
+        ranking=tuple(
+            Candidate(c.effect, c.score, c.gain, None, c.strength) for c in first.candidates
+        ),
+        unexplained=None,
+        next_trial=None,
+        before=fit,
+        after=fit,
+        warnings=(),
+    )
+
+
+def small(world: Any, *effects: Undeclared, seed: int) -> Any:
+    """Return a small campaign."""
+    campaign = world.campaign(SHORT, hold=1.0, recover=1.0, rate=100.0)
+    return world.measure(campaign, *effects, seed=seed)
+
+
+def test_noise_has_its_level_and_its_memory_at_uneven_times() -> None:
+    random = np.random.default_rng(0)
+    noise = SensorNoise(0.3, 0.4, 0.05)
+    t = np.cumsum(np.tile([0.01, 0.01, 0.03], 40_000))
+    value = sensor_noise(t, noise, random)
+    # Some 30 000 independent pieces tell a variance to within one percent.
+    assert np.std(value) == pytest.approx(0.5, rel=0.03)
+    for first, gap in ((0, 0.01), (1, 0.03)):
+        pairs = value[first::3] * np.roll(value, -1)[first::3]
+        assert np.mean(pairs[:-1]) == pytest.approx(0.16 * np.exp(-gap / 0.05), rel=0.05)
+
+
+def test_simulated_campaigns_are_white_beside_the_noise_that_they_were_made_with(
+    noise_only: Any,
+) -> None:
+    bench, base = noise_only.bench()
+    assert max(trial.force_count.max() for trial in bench.trials) > 3.0
+    random = np.random.default_rng(0)
+    squares, lagged, count = 0.0, 0.0, 0
+    for _ in range(20):
+        made = Workbench(simulated(base, NONE, random), None, bench.memory)
+        whiteners = made.whiteners(base.force_noise, base.height_noise, base.jumps)
+        for index, (force_filter, height_filter) in enumerate(whiteners):
+            assert height_filter is not None
+            force, height = made.residual(base.problem, base.state, index)
+            for white in (
+                force_filter(force[np.newaxis])[0],
+                height_filter(height[np.newaxis])[0],
+            ):
+                squares += float(white @ white)
+                lagged += float(white[1:] @ white[:-1])
+                count += white.size
+    # Means of samples included: a chi squared, and products of neighbours, within four errors.
+    assert squares / count == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / count))
+    assert lagged / count == pytest.approx(0.0, abs=4.0 * np.sqrt(1.0 / count))
+
+
+def test_scattering_trials_differ_by_their_scatter(noise_only: Any) -> None:
+    _, base = noise_only.bench()
+    made = simulated(base, np.array([0.1, 0.0, 0.0]), np.random.default_rng(0))
+    alike = simulated(base, NONE, np.random.default_rng(0))
+    peaks = [one.peak_force / other.peak_force for one, other in zip(made, alike, strict=True)]
+    assert np.ptp(peaks) > 0.02
+
+
+def test_chance_does_what_a_campaign_without_effect_shows(world: Any) -> None:
+    measured = small(world, seed=1)
+    told = list[str]()
+    found = bootstrap(diagnosed(measured), measured.phases, 7, progress=told.append)
+    assert found.campaigns == 7
+    assert found.p_value > 0.2
+    assert told == [f'bootstrap {number} of 7' for number in range(1, 8)]
+
+
+def test_chance_does_not_do_what_a_clear_effect_does(world: Any) -> None:
+    measured = small(world, Undeclared('yield_force', (0.5,)), seed=2)
+    diagnosis = diagnosed(measured)
+    assert diagnosis.effects
+    found = bootstrap(diagnosis, measured.phases, 7)
+    assert found.p_value == pytest.approx(1.0 / 8.0)
+    assert found.false_alarms <= 1
