@@ -50,8 +50,9 @@ _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
 _RESOLVED: Final = 6.0
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
+_QUICK_GATE: Final = 50.0
 _FLEETING: Final = 3.0
-"""How much stronger it must be where it only draws jumps out over less than a sample."""
+"""Gain, and how much stronger it must be, where it draws jumps out over less than a sample."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
 _MOST: Final = 3
@@ -323,14 +324,19 @@ def select(
 
 def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[Trialled]:
     """Return the candidates that may be accepted, best first."""
-    quick = weakest * _FLEETING if resolved(bench) else math.inf
+    shown = resolved(bench)
+
+    def enough(each: Trialled, refit: Refit) -> bool:
+        if not fleeting(bench, refit, each.effect):
+            return each.gain > GATE and each.strength > weakest
+        return shown and each.gain > _QUICK_GATE and each.strength > _FLEETING * weakest
+
     return [
         each
         for each in tried
         if each.refit is not None
-        and each.gain > GATE
+        and enough(each, each.refit)
         and not seldom(bench, each.refit, each.effect)
-        and each.strength > (quick if fleeting(bench, each.refit, each.effect) else weakest)
     ]
 
 
