@@ -17,8 +17,10 @@
 Which push would tell most: one that two candidates answer differently, or one that sharpens.
 
 The models predict pushes that were not made. Where two candidates cannot be told apart, the push
-is chosen at which the second, with its parameters as free as the trials have left them, misses
-what the first says by most; otherwise the one that sharpens the least known parameter.
+is chosen at which either, with its parameters as free as the trials have left them, misses by most
+what the other says, each as often as it is likely to be the right one; otherwise the push that
+sharpens the least known parameter. Straight slopes find the pushes that may be worth it; as a
+rival that moves far imitates more than they say, it is then fitted to what the other says.
 
 References
 ----------
@@ -34,8 +36,9 @@ from typing import Final
 
 from hapticvision_ros.core.diagnosis.records import NextTrial
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
-from hapticvision_ros.core.fit.campaign import force_blocks, height_blocks, Problem
+from hapticvision_ros.core.fit.campaign import carried, force_blocks, height_blocks, Problem
 from hapticvision_ros.core.fit.data import FitTrial, planned
+from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise_model import whitener
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
@@ -44,6 +47,13 @@ _SPEEDS: Final = 4
 _DEPTHS: Final = (0.35, 0.6, 1.0)
 _HOLDS: Final = (0.3, 1.0, 3.0)
 """Over the longest hold of the campaign."""
+_CLOSER: Final = 4
+"""Pushes for which the rival is fitted anew."""
+_STEPS: Final = 25
+"""Evaluations of such a fit at most."""
+_FLOOR: Final = 3.0
+"""Root of the squares, beside those of the fit, of which the tolerance is a part."""
+_TOLERANCE: Final = 5e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +145,18 @@ def suggest(
     if not plans:
         return None
     usual = float(np.median([t.t[-1] - t.t[0] for t in bench.trials]))
-    worth = []
-    name = '' if second is not None else _least_known(first)
-    for plan in plans:
-        if second is None:
-            gain = _sharpening(bench, first, plan, name)
-            score = gain - 1.0
-        else:
-            gain = _separation(bench, first, second, plan)
-            score = gain**2
-        worth.append((score / max(plan.duration, usual), gain, plan))
+    if second is None:
+        name = _least_known(first)
+        gains = [_sharpening(bench, first, plan, name) for plan in plans]
+        worth = [
+            ((gain - 1.0) / max(plan.duration, usual), gain, plan)
+            for gain, plan in zip(gains, plans, strict=True)
+        ]
+    else:
+        worth = [
+            (squares / max(plan.duration, usual), math.sqrt(squares), plan)
+            for squares, plan in _apart(bench, first, second, plans, usual)
+        ]
     score, gain, best = max(worth, key=lambda each: each[0])
     if score <= 0.0:
         return None
@@ -158,6 +170,23 @@ def suggest(
             f'deviations of the noise'
         )
     return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason)
+
+
+def _apart(
+    bench: Workbench, first: Refit, second: Refit, plans: Sequence[_Plan], usual: float
+) -> list[tuple[float, _Plan]]:
+    """Return the plans that promise most, with how far two models part: mean square of both."""
+    likely = _likely(bench, first, second)
+    known = _information(first), _information(second)
+    promised = [_separation(bench, (first, second), known, plan, likely) for plan in plans]
+    order = sorted(
+        range(len(plans)), key=lambda i: promised[i] / max(plans[i].duration, usual), reverse=True
+    )
+    rivals = (likely, _Rival(bench, first, second)), (1.0 - likely, _Rival(bench, second, first))
+    return [
+        (sum(weight * rival.misses(plans[i]) for weight, rival in rivals), plans[i])
+        for i in order[:_CLOSER]
+    ]
 
 
 def _odd(one: Refit, other: Refit) -> str:
@@ -190,19 +219,32 @@ def _plans(
                 yield _Plan(float(speed), depth, time, trial)
 
 
-def _rows(bench: Workbench, refit: Refit, plan: _Plan) -> tuple[FloatArray, FloatArray]:
-    """Return the whitened prediction of a plan, and derivatives in shared and own parameters."""
-    problem = Problem(refit.model, (plan.trial,), bench.scatter)
-    state = np.zeros(problem.size)
-    state[: problem.p] = refit.theta
+def _rows(
+    bench: Workbench, refit: Refit, noise: Refit, plan: _Plan
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Return the whitened prediction of a plan, and derivatives in shared and own parameters.
+
+    The noise, and how well moments are known, is that of another refit of the campaign.
+    """
+    problem, state = _beginning(bench, refit, plan.trial)
     force, height = problem.records(state, 0)
-    rows = whitener(force_blocks(plan.trial), refit.force_noise)(force)
+    (jumps,) = problem.jumps(state, noise.blur)
+    rows = whitener(force_blocks(plan.trial, jumps), noise.force_noise)(force)
     if plan.trial.height_t.size:
-        heights = whitener(height_blocks(plan.trial), refit.height_noise)(height)
+        heights = whitener(height_blocks(plan.trial), noise.height_noise)(height)
         rows = np.hstack((rows, heights))
     prior, _ = problem.priors(state)
     jacobian = np.vstack((rows[:-1].T, prior))
     return np.append(rows[-1], np.zeros(prior.shape[0])), jacobian
+
+
+def _beginning(bench: Workbench, refit: Refit, trial: FitTrial) -> tuple[Problem, FloatArray]:
+    """Return a problem of one trial alone, with the shared parameters of a refit."""
+    problem = Problem(refit.model, (trial,), bench.scatter)
+    state = np.zeros(problem.size)
+    state[: problem.p] = refit.theta
+    return problem, state
 
 
 def _beyond_own(jacobian: FloatArray, p: int, *columns: FloatArray) -> list[FloatArray]:
@@ -223,26 +265,114 @@ def _information(refit: Refit) -> FloatArray:
     return total
 
 
-def _separation(bench: Workbench, first: Refit, second: Refit, plan: _Plan) -> float:
-    """Return by how much the second misses what the first says, in standard deviations."""
-    # Both in the noise of the first.
-    alike = replace(second, force_noise=first.force_noise, height_noise=first.height_noise)
-    said, _ = _rows(bench, first, plan)
-    guessed, jacobian = _rows(bench, alike, plan)
-    size = min(said.size, guessed.size)
-    p = second.problem.p
-    difference = np.zeros(guessed.size)
-    difference[:size] = guessed[:size] - said[:size]
-    if not np.isfinite(difference).all() or not np.isfinite(jacobian).all():
-        return 0.0
-    miss, shared = _beyond_own(jacobian, p, difference, jacobian[:, :p])
-    known = _information(second)
-    scale = np.sqrt(np.diag(known) + np.sum(shared**2, axis=0))
-    scale[scale == 0.0] = 1.0
-    normal = (known + shared.T @ shared) / np.outer(scale, scale)
-    gradient = shared.T @ miss / scale
-    change = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
-    return math.sqrt(max(float(miss @ miss - gradient @ change), 0.0))
+def _likely(bench: Workbench, first: Refit, second: Refit) -> float:
+    """Return how likely the first is to be the right one of the two, by Schwarz's criterion."""
+    lead = _criterion(bench, second) - _criterion(bench, first)
+    return 1.0 / (1.0 + math.exp(-0.5 * min(max(lead, -100.0), 100.0)))
+
+
+def _criterion(bench: Workbench, refit: Refit) -> float:
+    count = refit.problem.p + len(bench.trials) * refit.problem.q
+    return refit.deviance + count * math.log(bench.samples)
+
+
+def _separation(
+    bench: Workbench,
+    models: tuple[Refit, Refit],
+    informations: tuple[FloatArray, FloatArray],
+    plan: _Plan,
+    likely: float,
+) -> float:
+    """Return the mean square by which one misses what the other says, along straight slopes."""
+    rows = [_rows(bench, one, models[0], plan) for one in models]
+    total = 0.0
+    for weight, said, moving in ((likely, 0, 1), (1.0 - likely, 1, 0)):
+        guessed, jacobian = rows[moving]
+        size = min(guessed.size, rows[said][0].size)
+        p, known = models[moving].problem.p, informations[moving]
+        difference = np.zeros(guessed.size)
+        difference[:size] = guessed[:size] - rows[said][0][:size]
+        if not np.isfinite(difference).all() or not np.isfinite(jacobian).all():
+            return 0.0
+        miss, shared = _beyond_own(jacobian, p, difference, jacobian[:, :p])
+        scale = np.sqrt(np.diag(known) + np.sum(shared**2, axis=0))
+        scale[scale == 0.0] = 1.0
+        normal = (known + shared.T @ shared) / np.outer(scale, scale)
+        gradient = shared.T @ miss / scale
+        change = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
+        total += weight * max(float(miss @ miss - gradient @ change), 0.0)
+    return total
+
+
+class _Rival:
+    """
+    A model that is fitted to what another says of the campaign, with and without one more push.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    right : Refit
+        The model that is taken for the right one, and its noise.
+    rival : Refit
+        The one that is to be told from it.
+
+    """
+
+    def __init__(self, bench: Workbench, right: Refit, rival: Refit) -> None:
+        self._bench = bench
+        self._right = right
+        self._blur = max(right.blur, rival.blur)
+        self._trials = [
+            _said(right.problem, right.state, index) for index in range(len(bench.trials))
+        ]
+        self._jumps = right.problem.jumps(right.state, self._blur)
+        problem = Problem(rival.model, self._trials, bench.scatter)
+        self._squares, self._state = self._fitted(
+            problem, carried(rival.problem, rival.state, problem), self._jumps
+        )
+        self._problem = problem
+
+    def misses(self, plan: _Plan) -> float:
+        """Return by how much a push makes the squares of the rival grow."""
+        alone, state = _beginning(self._bench, self._right, plan.trial)
+        trials = [*self._trials, _said(alone, state, 0)]
+        problem = Problem(self._problem.model, trials, self._bench.scatter)
+        begin = carried(self._problem, self._state, problem)
+        jumps = (*self._jumps, *alone.jumps(state, self._blur))
+        try:
+            squares, _ = self._fitted(problem, begin, jumps)
+        except ValueError:
+            return 0.0
+        return max(squares - self._squares, 0.0)
+
+    def _fitted(
+        self, problem: Problem, begin: FloatArray, jumps: Sequence[FloatArray]
+    ) -> tuple[float, FloatArray]:
+        """Return the least squares, and the parameters there."""
+        problem.set_noise(self._right.force_noise, self._right.height_noise, jumps)
+
+        def evaluate(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+            residual, jacobian = problem.evaluate(state)
+            if not np.isfinite(residual).all():
+                return residual, jacobian
+            # Squares that may be none at all: the tolerance is a part of this.
+            return np.append(residual, _FLOOR), np.vstack((jacobian, np.zeros(problem.size)))
+
+        end = minimise(
+            evaluate, begin, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
+        )
+        return end.cost, end.theta
+
+
+def _said(problem: Problem, state: FloatArray, index: int) -> FitTrial:
+    """Return a trial with what a model says in place of what was measured."""
+    trial = problem.trials[index]
+    prediction = problem.predict(state, index, directions=False)
+    _, force_zero, height_zero = problem.own(state, index)
+    return replace(
+        trial, force=prediction.force + force_zero, height=prediction.height + height_zero
+    )
 
 
 def _least_known(refit: Refit) -> str:
@@ -258,7 +388,7 @@ def _least_known(refit: Refit) -> str:
 
 def _sharpening(bench: Workbench, refit: Refit, plan: _Plan, name: str) -> float:
     """Return by what factor a push makes the error of a parameter smaller."""
-    _, jacobian = _rows(bench, refit, plan)
+    _, jacobian = _rows(bench, refit, refit, plan)
     if not np.isfinite(jacobian).all():
         return 1.0
     p = refit.problem.p

@@ -29,6 +29,7 @@ from typing import Final, Literal
 from hapticvision_ros.core.diagnosis.refit import Refit
 from hapticvision_ros.core.fit.campaign import calm
 from hapticvision_ros.core.fit.data import FitTrial
+from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +42,10 @@ _NEAR: Final = 4.0
 """Intervals of the encoders about a change of speed in which the force may be off."""
 _SETTLING: Final = 0.05
 """Part of a contact after it in which the object may still cling to the tool."""
+_SIGMAS: Final = 3.0
 _LOUD: Final = 1.3
 _LOUD_TRIAL: Final = 1.7
-"""Residual over the noise, of all trials or of one, from which on it is more than noise."""
+"""Residual over the noise, of all trials or of one, beyond its errors, that is more than noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +112,18 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
             # What the range sensor sees of the recovery is no silence.
             parts = _parted(full.height_t, residual, trial, phase, after=False)
             heights.append((trial.name, *parts))
-    held = (_held('force', forces), _held('displacement height', heights))
+    first = problem.trials[0]
+    held = (
+        _held('force', forces, _alike(found.force_noise, first.interval)),
+        _held('displacement height', heights, _alike(found.height_noise, first.height_interval)),
+    )
     return tuple(each for each in held if each is not None)
+
+
+def _alike(noise: SensorNoise, interval: float) -> float:
+    """Return how many samples tell as much of the noise's size as one that is alone."""
+    share = (noise.slow / noise.std) ** 2 if noise.std > 0.0 else 0.0
+    return 1.0 + share**2 * noise.correlation_time / interval
 
 
 def _turning(trial: FitTrial, t: FloatArray) -> NDArray[np.bool_]:
@@ -142,6 +154,7 @@ def _parted(
 def _held(
     channel: Literal['force', 'displacement height'],
     parts: Sequence[tuple[str, FloatArray, FloatArray]],
+    alike: float,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is."""
     known = [each for each in parts if each[2].size >= _FEW]
@@ -149,9 +162,15 @@ def _held(
     if quiet.size < _FEWEST or not known or not quiet.any():
         return None
     noise = math.sqrt(float(np.mean(quiet**2)))
-    ratios = [(math.sqrt(float(np.mean(loud**2))) / noise, name) for name, _, loud in known]
-    worst, name = max(ratios)
-    ratio = math.sqrt(float(np.mean(np.concatenate([each[2] for each in known]) ** 2))) / noise
-    if ratio < _LOUD and worst < _LOUD_TRIAL:
+    # A standard deviation is known to one over the root of twice the samples.
+    unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
+    ratios = []
+    for name, _, loud in known:
+        error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
+        ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
+    worst, name, error = max(ratios)
+    whole = np.concatenate([each[2] for each in known])
+    ratio = math.sqrt(float(np.mean(whole**2))) / noise
+    if ratio < _LOUD + unsure and worst < _LOUD_TRIAL + math.hypot(unsure, error):
         return None
     return Excess(channel, ratio, name, worst)

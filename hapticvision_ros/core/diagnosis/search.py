@@ -74,7 +74,7 @@ _OPEN: Final = 4
 """Candidates beside those in the sets among which the choice is made anew without some trials."""
 _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
-_LEAST_SHARE: Final = 0.02
+_LEAST_SHARE: Final = 0.03
 """A rest takes at least this part out of the residual of its phase."""
 _LEAST_REST: Final = 0.05
 """A rest below this share of the noise is of no consequence."""

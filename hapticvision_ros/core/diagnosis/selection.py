@@ -44,7 +44,7 @@ GATE: Final = 10.0
 """Gain in Schwarz's criterion from which on an effect is there."""
 LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
-WEAKEST: Final = 0.05
+WEAKEST: Final = 0.07
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
