@@ -19,6 +19,7 @@ One thread reads the arm, one takes the load cell's samples as they come, one ru
 at its own fixed rate. A back end's `read` and `command` are therefore called from two threads.
 """
 
+from collections import deque
 import threading
 import time
 from typing import Any, Final
@@ -53,9 +54,15 @@ from hapticvision_ros.nodes.conversions import (
 )
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
-from hapticvision_ros.nodes.qos import create_publisher, create_service, create_subscription
+from hapticvision_ros.nodes.qos import (
+    create_publisher,
+    create_service,
+    create_subscription,
+    interface_class,
+)
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.sim.devices import connect_arm
+from rclpy.serialization import deserialize_message
 
 NAME: Final = 'arm_push_controller'
 
@@ -251,7 +258,7 @@ class ArmPushController(CellNode):
         self._told_phase: str | None = None
         self._arm: Arm = connect_arm(values.integer('simulated_world_port'))
         values.add_check(self._check_change)
-        self._wrenches = Intake.of(self, WRENCH)
+        self._wrenches = Intake.of(self, WRENCH, raw=True)
         create_subscription(self, CONTACT_POINT, self._on_contact_point)
         create_service(self, ENABLE, self._on_enable)
         create_service(self, PUSH, self._on_start)
@@ -271,13 +278,18 @@ class ArmPushController(CellNode):
         self._arm.close()
 
     def _listen(self) -> None:
+        kind = interface_class(WRENCH.msgtype)
         while not self.stopping.is_set():
             if not self._wrenches.wait(_IDLE_WAIT):
                 continue
-            for message, _, _ in self._wrenches.take():
-                stamp = ns_from_stamp(message.header.stamp) / NS_PER_S
-                measured = self._force_time.of(stamp, time.monotonic())
-                self._force = Reading(measured, contact_force(message))
+            # Only the newest counts; reading all that wait would make a late node later still.
+            newest = deque(self._wrenches.take(), maxlen=1)
+            if not newest:
+                continue
+            message = deserialize_message(newest[0][0], kind)
+            stamp = ns_from_stamp(message.header.stamp) / NS_PER_S
+            measured = self._force_time.of(stamp, time.monotonic())
+            self._force = Reading(measured, contact_force(message))
 
     def _on_contact_point(self, message: Any) -> None:
         self._surface_height = point_from_message(message)[2]
