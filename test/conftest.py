@@ -49,6 +49,7 @@ def _is_live(item: pytest.Item) -> bool:
     return _place(item).startswith(LIVE)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """
     Let what shares fixtures be run by one worker, and all live tests by one.
