@@ -30,7 +30,7 @@ Ornstein-Uhlenbeck process).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis
@@ -163,25 +163,71 @@ def simulated(base: Refit, scatter: FloatArray, random: np.random.Generator) -> 
             state[first:last] = 0.0
         _, force_zero, height_zero = problem.own(state, index)
         full = trial.at_full_rate()
-        edges, good = trial.samples.edges, trial.samples.good.astype(np.float64)
-        noise = sensor_noise(0.5 * (edges[1:] + edges[:-1]), base.force_noise, random)
-        first_of = np.searchsorted(edges, trial.t)[:-1]
-        mean = np.add.reduceat(noise * good, first_of) / np.maximum(trial.force_count, 1.0)
-        # The moments of jumps are known no better than when they were measured.
-        mean += np.sqrt(base.jumps[index]) * random.standard_normal(mean.size)
+        noise = trial_noise(trial, base, base.jumps[index], random)
         said = problem.predict(state, index, directions=False)
-        force = np.where(trial.force_count > 0.0, said.force + force_zero + mean, 0.0)
-        samples = problem.predict(state, index, full, directions=False).force + force_zero + noise
-        height = said.height + height_zero + _height_noise(trial, base.height_noise, random)
+        force = np.where(trial.force_count > 0.0, said.force + force_zero + noise.force, 0.0)
+        samples = problem.predict(state, index, full, directions=False).force + force_zero
+        height = said.height + height_zero + noise.height
         made.append(
             replace(
                 trial,
                 force=force,
                 height=height,
-                samples=replace(trial.samples, force=samples),
+                samples=replace(trial.samples, force=samples + noise.samples),
             )
         )
     return made
+
+
+@dataclass(frozen=True, slots=True)
+class TrialNoise:
+    """
+    Noise of a trial.
+
+    Parameters
+    ----------
+    samples, force : ndarray, shapes (samples,), (n,)
+        Of each sample of the force, and of its mean in each step [N].
+    height : ndarray, shape (m,)
+        Of each mean of heights [m].
+
+    """
+
+    samples: FloatArray
+    force: FloatArray
+    height: FloatArray
+
+
+def trial_noise(
+    trial: FitTrial, like: Refit, jumps: FloatArray, random: np.random.Generator
+) -> TrialNoise:
+    """
+    Return noise of a trial.
+
+    Parameters
+    ----------
+    trial : FitTrial
+        The trial.
+    like : Refit
+        Whose noise it is.
+    jumps : ndarray, shape (n,)
+        Variance of each step's force for that moments are not known well [N^2].
+    random : numpy.random.Generator
+        Where chance comes from.
+
+    Returns
+    -------
+    TrialNoise
+        The noise.
+
+    """
+    edges, good = trial.samples.edges, trial.samples.good.astype(np.float64)
+    samples = sensor_noise(0.5 * (edges[1:] + edges[:-1]), like.force_noise, random)
+    first_of = np.searchsorted(edges, trial.t)[:-1]
+    force = np.add.reduceat(samples * good, first_of) / np.maximum(trial.force_count, 1.0)
+    # The moments of jumps are known no better than when they were measured.
+    force += np.sqrt(jumps) * random.standard_normal(force.size)
+    return TrialNoise(samples, force, _height_noise(trial, like.height_noise, random))
 
 
 def sensor_noise(t: FloatArray, noise: SensorNoise, random: np.random.Generator) -> FloatArray:

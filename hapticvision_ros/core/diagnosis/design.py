@@ -34,12 +34,19 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
+from hapticvision_ros.core.diagnosis.bootstrap import trial_noise
 from hapticvision_ros.core.diagnosis.records import NextTrial
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
-from hapticvision_ros.core.fit.campaign import carried, force_blocks, height_blocks, Problem
+from hapticvision_ros.core.fit.campaign import (
+    carried,
+    follow,
+    force_blocks,
+    height_blocks,
+    Problem,
+)
 from hapticvision_ros.core.fit.data import FitTrial, planned
 from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.fit.noise_model import whitener
+from hapticvision_ros.core.fit.noise_model import Blocks, deviance, Record, SensorNoise, whitener
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 
@@ -47,7 +54,7 @@ _SPEEDS: Final = 4
 _DEPTHS: Final = (0.35, 0.6, 1.0)
 _HOLDS: Final = (0.3, 1.0, 3.0)
 """Over the longest hold of the campaign."""
-_CLOSER: Final = 4
+_CLOSER: Final = 3
 """Pushes for which the rival is fitted anew."""
 _STEPS: Final = 25
 """Evaluations of such a fit at most."""
@@ -320,36 +327,33 @@ class _Rival:
     """
 
     def __init__(self, bench: Workbench, right: Refit, rival: Refit) -> None:
-        self._bench = bench
-        self._right = right
+        self._bench, self._right = bench, right
         self._blur = max(right.blur, rival.blur)
         self._trials = [
             _said(right.problem, right.state, index) for index in range(len(bench.trials))
         ]
         self._jumps = right.problem.jumps(right.state, self._blur)
-        problem = Problem(rival.model, self._trials, bench.scatter)
-        self._squares, self._state = self._fitted(
-            problem, carried(rival.problem, rival.state, problem), self._jumps
-        )
-        self._problem = problem
+        self._problem = Problem(rival.model, self._trials, bench.scatter)
+        self._state = carried(rival.problem, rival.state, self._problem)
+        self._lead, self._state = self._fitted(self._problem, self._state, self._jumps)
 
     def misses(self, plan: _Plan) -> float:
-        """Return by how much a push makes the squares of the rival grow."""
+        """Return by how much a push makes the deviance grow by which the rival is worse."""
         alone, state = _beginning(self._bench, self._right, plan.trial)
         trials = [*self._trials, _said(alone, state, 0)]
         problem = Problem(self._problem.model, trials, self._bench.scatter)
         begin = carried(self._problem, self._state, problem)
         jumps = (*self._jumps, *alone.jumps(state, self._blur))
         try:
-            squares, _ = self._fitted(problem, begin, jumps)
+            lead, _ = self._fitted(problem, begin, jumps)
         except ValueError:
             return 0.0
-        return max(squares - self._squares, 0.0)
+        return max(lead - self._lead, 0.0)
 
     def _fitted(
         self, problem: Problem, begin: FloatArray, jumps: Sequence[FloatArray]
     ) -> tuple[float, FloatArray]:
-        """Return the least squares, and the parameters there."""
+        """Return by how much the rival is worse, and its parameters."""
         problem.set_noise(self._right.force_noise, self._right.height_noise, jumps)
 
         def evaluate(state: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -362,7 +366,54 @@ class _Rival:
         end = minimise(
             evaluate, begin, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
         )
-        return end.cost, end.theta
+        _, known = problem.priors(end.theta)
+        return self._worse(problem, end.theta, jumps) + float(known @ known), end.theta
+
+    def _worse(self, problem: Problem, state: FloatArray, jumps: Sequence[FloatArray]) -> float:
+        """
+        Return by how much the residual makes noise less likely, with the noise as it may.
+
+        What a model misses passes in part for noise: level and memory are looked for with it.
+        """
+        random = np.random.default_rng(0)
+        forces, heights = _Beside([], []), _Beside([], [])
+        for index, trial in enumerate(problem.trials):
+            noise = trial_noise(trial, self._right, jumps[index], random)
+            force, height = (rows[-1] for rows in problem.records(state, index))
+            forces.add(force_blocks(trial, jumps[index]), force, noise.force)
+            if height.size:
+                heights.add(height_blocks(trial), height, noise.height)
+        trial, (longest, longest_height) = problem.trials[0], self._bench.memory
+        return forces.worse(self._right.force_noise, trial.interval, longest) + heights.worse(
+            self._right.height_noise, trial.height_interval, longest_height
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """Noise of a sensor in all trials, with what a model misses and without."""
+
+    missed: list[Record]
+    bare: list[Record]
+
+    def add(self, blocks: Blocks, miss: FloatArray, noise: FloatArray) -> None:
+        """Add a trial."""
+        # Both signs: no chance in how the two happen to agree.
+        self.missed.extend(_record(blocks, miss + sign * noise) for sign in (1.0, -1.0))
+        self.bare.append(_record(blocks, noise))
+
+    def worse(self, noise: SensorNoise, interval: float, longest: float) -> float:
+        """Return by how much less likely the noise is with the misses, at its best."""
+        if not self.bare:
+            return 0.0
+        best = follow(self.missed, noise, interval, False, longest)
+        return 0.5 * deviance(self.missed, best) - deviance(self.bare, noise)
+
+
+def _record(blocks: Blocks, residual: FloatArray) -> Record:
+    """Return a record without derivatives."""
+    none = np.zeros((0, residual.size))
+    return Record(blocks, residual, none, none)
 
 
 def _said(problem: Problem, state: FloatArray, index: int) -> FitTrial:
