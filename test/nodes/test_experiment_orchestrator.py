@@ -98,22 +98,33 @@ def states(heard: list[Any], goal_id: str) -> list[int]:
     ]
 
 
-def test_an_experiment_records_a_whole_trial_that_live_and_offline_fits_agree_on(
-    cell, probe, until, tmp_path
+def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_fits_agree(
+    cell, probe, until
 ):
     results, told = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_STATUS)
     feedback, fits = probe.listen(EXPERIMENT_FEEDBACK), probe.listen(RHEOLOGY_RESULT)
+    phases = probe.listen(PHASE)
+    (result,) = probe.set_parameters('experiment_orchestrator', {'repeats': 2})
+    assert result.successful, result.reason
     answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
     assert answer.success, answer.message
     again = probe.call(START_EXPERIMENT, Trigger.Request(), START)
     assert not again.success
     assert 'cancel it first' in again.message
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, values_from_status(results[-1])
+    assert probe.call(STOP, Trigger.Request()).success
 
     until(lambda: results, 'the result', SLOW)
     values = values_from_status(results[-1])
+    assert values['outcome 1'] == 'aborted: the arm aborted the push'
+    assert values['bag 1'].endswith('_aborted')
+    assert values['outcome 2'] == 'complete'
     assert (values['status'], values['complete']) == ('SUCCEEDED', '1'), values
-    bag = Path(values['bag 1'])
-    assert bag.name == 'trial_001_10.0mm_s_5mm_r1'
+    bag = Path(values['bag 2'])
+    assert bag.name == 'trial_002_10.0mm_s_5mm_r2'
     assert states(told, answer.message) == [
         GoalStatus.STATUS_ACCEPTED,
         GoalStatus.STATUS_EXECUTING,
@@ -156,24 +167,6 @@ def test_a_cancelled_push_keeps_its_bag_and_says_so(cell, probe, until):
     assert len(read_trial(bag).force) > 10
     late = probe.call(CANCEL_EXPERIMENT, CancelGoal.Request())
     assert late.return_code == CancelGoal.Response.ERROR_REJECTED
-
-
-def test_after_a_push_that_the_arm_has_aborted_the_next_one_is_made(cell, probe, until):
-    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
-    (result,) = probe.set_parameters('experiment_orchestrator', {'repeats': 2})
-    assert result.successful, result.reason
-    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
-    until(
-        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
-    )
-    assert not results, values_from_status(results[-1])
-    assert probe.call(STOP, Trigger.Request()).success
-    until(lambda: results, 'the result', SLOW)
-    values = values_from_status(results[-1])
-    assert values['outcome 1'] == 'aborted: the arm aborted the push'
-    assert values['bag 1'].endswith('_aborted')
-    assert values['outcome 2'] == 'complete'
-    assert (values['status'], values['complete']) == ('SUCCEEDED', '1')
 
 
 def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
