@@ -19,8 +19,8 @@ Which push would tell most: one that two candidates answer differently, or one t
 The models predict pushes that were not made. Where two candidates cannot be told apart, the push
 is chosen at which either, with its parameters as free as the trials have left them, misses by most
 what the other says, each as often as it is likely to be the right one; otherwise the push that
-sharpens the least known parameter. Straight slopes find the pushes that may be worth it; as a
-rival that moves far imitates more than they say, it is then fitted to what the other says.
+sharpens the least known parameter. Straight slopes find where to begin to look; as a rival that
+moves far imitates more than they say, it is then fitted to what the other says.
 
 References
 ----------
@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
-from hapticvision_ros.core.diagnosis.bootstrap import trial_noise
+from hapticvision_ros.core.diagnosis.bootstrap import trial_noise, TrialNoise
 from hapticvision_ros.core.diagnosis.records import NextTrial
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.fit.campaign import (
@@ -54,13 +54,15 @@ _SPEEDS: Final = 4
 _DEPTHS: Final = (0.35, 0.6, 1.0)
 _HOLDS: Final = (0.3, 1.0, 3.0)
 """Over the longest hold of the campaign."""
-_CLOSER: Final = 3
-"""Pushes for which the rival is fitted anew."""
 _STEPS: Final = 25
 """Evaluations of such a fit at most."""
 _FLOOR: Final = 3.0
 """Root of the squares, beside those of the fit, of which the tolerance is a part."""
 _TOLERANCE: Final = 5e-3
+_UNLIKELY: Final = 1e-3
+"""A model that is less likely to be the right one is not asked."""
+_PASSES: Final = 0.01
+"""Squares of a miss, over the samples, from which on a part of it passes for noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,18 +184,35 @@ def suggest(
 def _apart(
     bench: Workbench, first: Refit, second: Refit, plans: Sequence[_Plan], usual: float
 ) -> list[tuple[float, _Plan]]:
-    """Return the plans that promise most, with how far two models part: mean square of both."""
+    """Return some plans with how far two models part: mean square, whichever is the right one."""
     likely = _likely(bench, first, second)
     known = _information(first), _information(second)
-    promised = [_separation(bench, (first, second), known, plan, likely) for plan in plans]
-    order = sorted(
-        range(len(plans)), key=lambda i: promised[i] / max(plans[i].duration, usual), reverse=True
-    )
-    rivals = (likely, _Rival(bench, first, second)), (1.0 - likely, _Rival(bench, second, first))
-    return [
-        (sum(weight * rival.misses(plans[i]) for weight, rival in rivals), plans[i])
-        for i in order[:_CLOSER]
+    sides = ((likely, first, second), (1.0 - likely, second, first))
+    rivals = [
+        (weight, _Rival(bench, right, rival))
+        for weight, right, rival in sides
+        if weight > _UNLIKELY
     ]
+    shape = (_SPEEDS, len(_DEPTHS), len(_HOLDS))
+    found: dict[int, float] = {}
+
+    def worth(place: int) -> float:
+        if place not in found:
+            found[place] = sum(weight * rival.misses(plans[place]) for weight, rival in rivals)
+        return found[place] / max(plans[place].duration, usual)
+
+    promised = [
+        _separation(bench, (first, second), known, plan, likely) / max(plan.duration, usual)
+        for plan in plans
+    ]
+    best = int(np.argmax(promised))
+    grid = np.arange(len(plans)).reshape(shape)
+    # From there along hold, depth and speed in turn: slopes may mislead by orders of magnitude.
+    for axis in (2, 1, 0):
+        at = np.unravel_index(best, shape)
+        line = grid[tuple(slice(None) if k == axis else at[k] for k in range(3))]
+        best = max(line.tolist(), key=worth)
+    return [(squares, plans[place]) for place, squares in found.items()]
 
 
 def _odd(one: Refit, other: Refit) -> str:
@@ -333,6 +352,7 @@ class _Rival:
             _said(right.problem, right.state, index) for index in range(len(bench.trials))
         ]
         self._jumps = right.problem.jumps(right.state, self._blur)
+        self._noise: dict[int, TrialNoise] = {}
         self._problem = Problem(rival.model, self._trials, bench.scatter)
         self._state = carried(rival.problem, rival.state, self._problem)
         self._lead, self._state = self._fitted(self._problem, self._state, self._jumps)
@@ -366,8 +386,20 @@ class _Rival:
         end = minimise(
             evaluate, begin, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
         )
-        _, known = problem.priors(end.theta)
-        return self._worse(problem, end.theta, jumps) + float(known @ known), end.theta
+        squares = end.cost - _FLOOR**2
+        if squares > _PASSES * self._bench.samples:
+            _, known = problem.priors(end.theta)
+            squares = self._worse(problem, end.theta, jumps) + float(known @ known)
+        return squares, end.theta
+
+    def _drawn(self, trial: FitTrial, jumps: FloatArray, index: int) -> TrialNoise:
+        """Return noise of a trial; of those that were made, always the same."""
+        if index in self._noise:
+            return self._noise[index]
+        drawn = trial_noise(trial, self._right, jumps, np.random.default_rng(index))
+        if index < len(self._trials):
+            self._noise[index] = drawn
+        return drawn
 
     def _worse(self, problem: Problem, state: FloatArray, jumps: Sequence[FloatArray]) -> float:
         """
@@ -375,10 +407,9 @@ class _Rival:
 
         What a model misses passes in part for noise: level and memory are looked for with it.
         """
-        random = np.random.default_rng(0)
         forces, heights = _Beside([], []), _Beside([], [])
         for index, trial in enumerate(problem.trials):
-            noise = trial_noise(trial, self._right, jumps[index], random)
+            noise = self._drawn(trial, jumps[index], index)
             force, height = (rows[-1] for rows in problem.records(state, index))
             forces.add(force_blocks(trial, jumps[index]), force, noise.force)
             if height.size:
