@@ -853,7 +853,8 @@ def _weighted(
         if heights:
             interval = trials[0].height_interval
             height_noise = follow(heights, height_noise, interval, first, limit[1])
-        blur = problem.sharpest(state, force_noise, blur)
+        # Error bars are those of moments known to a sample, however sharp these look.
+        blur = max(problem.sharpest(state, force_noise, blur), 1.0)
         problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
         solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
         state = solution.theta
