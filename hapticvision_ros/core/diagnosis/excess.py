@@ -14,7 +14,7 @@
 
 
 """
-Is the residual louder in contact than without?
+A residual that is louder in contact than without.
 
 What has no smooth form, or another one in each trial, passes for noise in a fit that takes its
 noise from its own residual. Without contact no model can be wrong: the sensors' noise is seen
@@ -146,7 +146,7 @@ def _parted(
     if after:
         quiet.append(residual[t > loss + _SETTLING * (loss - trial.t_contact)])
     return (
-        np.concatenate([part - part.mean() for part in quiet if part.size]),
+        np.concatenate([np.empty(0), *(part - part.mean() for part in quiet if part.size)]),
         residual[(t > trial.t_contact) & (t < loss)],
     )
 

@@ -776,7 +776,8 @@ def _followed(
         far = int(np.argmax(away))
         if away[far] <= _LEFT_SIGMAS * noise:
             break
-        own[max(far - 1, 0) : far + 2] = True
+        beside = slice(max(far - 1, 0), far + 2)
+        own[beside] = True
         knots, levels = _through(t, value, corners, own)
     return knots, levels
 
