@@ -230,6 +230,9 @@ def _plans(
     releases = shown.t_release is not None
     speeds = np.geomspace(limits.slowest, limits.fastest, _SPEEDS)
     longest = limits.longest_hold
+    # What is next comes as long after the last as that came after others: an object may age.
+    starts = np.sort([trial.campaign_time for trial in bench.trials])
+    pause = np.median(np.diff(starts)) if starts.size > 1 else like.t[-1] - like.t[0]
     for speed in speeds:
         for share in _DEPTHS:
             for hold in _HOLDS:
@@ -240,7 +243,7 @@ def _plans(
                     depth=depth,
                     hold_time=time,
                     release=releases,
-                    campaign_time=max(t.campaign_time for t in bench.trials),
+                    campaign_time=float(starts[-1] + pause),
                 )
                 yield _Plan(float(speed), depth, time, trial)
 
