@@ -26,6 +26,11 @@ class HapticVisionError(Exception):
 
     exit_code = 2
 
+    def __str__(self) -> str:
+        """Return the message in one line, whatever a damaged file calls its topics."""
+        said = super().__str__()
+        return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in said)
+
 
 class InputError(HapticVisionError):
     """A file, a topic or an argument cannot be used."""

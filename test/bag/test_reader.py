@@ -572,3 +572,7 @@ def test_a_directory_without_mcap_is_refused(
 def test_a_bag_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='does not exist'):
         read_trial(tmp_path / 'none.mcap')
+
+
+def test_a_damaged_name_does_not_break_the_sentence() -> None:
+    assert str(InputError('the topic /a\nb is unknown')) == 'the topic /a\\nb is unknown'
