@@ -21,6 +21,7 @@ as between two replayed bags.
 """
 
 from bisect import bisect_right
+from collections import deque
 import math
 from typing import Final
 
@@ -118,6 +119,8 @@ PARAMETERS: Final = (
 )
 
 _TICKS: Final = 1000
+_REMEMBERED: Final = 20000
+"""Samples that may be used before it is heard that a trial has begun."""
 _PATIENCE: Final = 25
 """A stream that is silent for so many periods is not waited for."""
 _BEGIN, _HEIGHT, _FORCE, _LAST = range(4)
@@ -142,7 +145,9 @@ class PhaseSegmenter(CellNode):
         self._segmenter = OnlineSegmenter(self._options)
         self._start_ns: int | None = None
         self._newest_ns = 0
+        self._begun_ns: int | None = None
         self._waiting: list[tuple[int, int, float]] = []
+        self._used: deque[tuple[int, int, float]] = deque(maxlen=_REMEMBERED)
         self._newest: dict[int, int] = {}
         self._alone = 0
         self._told: str | None = None
@@ -207,11 +212,26 @@ class PhaseSegmenter(CellNode):
             first = bisect_right(self._waiting, (min(self._newest.values()), _LAST, 0.0))
         ready = self._waiting[:first]
         del self._waiting[:first]
-        for stamp, kind, value in ready:
-            if kind == _BEGIN:
-                self._begin()
-            else:
+        for sample in ready:
+            samples = self._of_trial(sample[0]) if sample[1] == _BEGIN else [sample]
+            for stamp, kind, value in samples:
                 self._add(stamp, kind == _FORCE, value)
+                self._used.append((stamp, kind, value))
+
+    def _of_trial(self, begun_ns: int) -> list[tuple[int, int, float]]:
+        """
+        Begin a trial, and return what is of it of the samples that have been used.
+
+        On a busy machine the news of the beginning may come after them. A trial that begins when
+        the last one did is played again.
+        """
+        again = self._begun_ns is not None and begun_ns <= self._begun_ns
+        end_ns = begun_ns + self._longest_pause_ns
+        late = [] if again else [one for one in self._used if begun_ns <= one[0] < end_ns]
+        self._begun_ns = begun_ns
+        self._used.clear()
+        self._begin()
+        return late
 
     def _begin(self) -> None:
         """Begin a new trial."""
@@ -225,6 +245,8 @@ class PhaseSegmenter(CellNode):
         if not math.isfinite(value):
             return
         if self._start_ns is not None and abs(stamp - self._newest_ns) > self._longest_pause_ns:
+            self._begun_ns = None
+            self._used.clear()
             self._begin()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = stamp
