@@ -930,8 +930,10 @@ def longest_memory(trials: Sequence[FitTrial]) -> tuple[float, float]:
     )
     if spread == 0.0:
         return force, height
-    brief = estimate(air, _even(spread, interval), interval, longest=force)
     free = estimate(air, _even(spread, interval), interval)
+    if free.correlation_time <= force:
+        return force, height
+    brief = estimate(air, _even(spread, interval), interval, longest=force)
     if deviance(air, brief) - deviance(air, free) > _SEEN:
         force = max(force, _SLOWER * free.correlation_time)
     return force, height

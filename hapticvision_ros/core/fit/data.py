@@ -30,6 +30,7 @@ import math
 from typing import Final
 
 from hapticvision_ros.core.fit.glitches import find_glitches, NORMAL_FROM_MAD
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -448,20 +449,36 @@ def _steps(
     edges: FloatArray, events: FloatArray, interval: float, windows: bool
 ) -> NDArray[np.intp]:
     """Return which edges remain: sparse far from the events, and all of them near these."""
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    distance = np.full(middle.size, np.inf)
-    after = np.searchsorted(events, middle)
-    known = after > 0
-    distance[known] = middle[known] - events[after[known] - 1]
-    known = after < events.size
-    distance[known] = np.minimum(distance[known], events[after[known]] - middle[known])
+    kept = np.zeros(edges.size, dtype=np.bool_)
+    kept[[0, 1, -1]] = True
+    _keep(edges, events, interval, _WINDOW if windows else 0, kept)
+    return np.flatnonzero(kept)
+
+
+@kernel()
+def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def]
+    """Mark the edges that remain."""
     # Samples per step, integrated: an edge stays wherever the sum passes a whole number.
-    density = 1.0 / np.maximum(_GROWTH * distance / interval, 1.0)
-    if windows:
-        density[np.arange(density.size) % _WINDOW_EVERY < _WINDOW] = 1.0
-    progress = np.floor(np.cumsum(density) + 1e-9)
-    kept = np.flatnonzero(np.diff(progress) > 0.0) + 2
-    return np.unique(np.concatenate(([0, 1], kept, [edges.size - 1])))
+    total = 1e-9
+    whole = 0.0
+    after = 0
+    for i in range(edges.size - 1):
+        middle = 0.5 * (edges[i + 1] + edges[i])
+        while after < events.size and events[after] <= middle:
+            after += 1
+        distance = np.inf
+        if after > 0:
+            distance = middle - events[after - 1]
+        if after < events.size:
+            distance = min(distance, events[after] - middle)
+        if i % _WINDOW_EVERY < window:
+            total += 1.0
+        else:
+            total += 1.0 / max(_GROWTH * distance / interval, 1.0)
+        passed = np.floor(total)
+        if passed > whole and i > 0:
+            kept[i + 1] = True
+        whole = passed
 
 
 def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:
@@ -551,7 +568,10 @@ def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray
     near = np.zeros(t.size, dtype=np.bool_)
     for event in (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss):
         if event is not None:
-            near |= np.abs(t - event) <= _LONGEST_GLITCH * interval
+            reach = _LONGEST_GLITCH * interval
+            first = np.searchsorted(t, event - reach)
+            last = np.searchsorted(t, event + reach, side='right')
+            near[first:last] = True
     return near
 
 
@@ -812,8 +832,7 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     reach = _BURST + 5
     if noise <= 0.0 or t.size < 4 * reach:
         return late
-    windows = np.lib.stride_tricks.sliding_window_view(np.arange(t.size), 5)
-    middle_t, middle = np.median(t[windows], axis=1), np.median(value[windows], axis=1)
+    middle_t, middle = t[2:-2], _median_of_five(value)
     inner = np.arange(reach, t.size - reach)
     before, after = inner - reach, inner + reach - 4
     share = (t[inner] - middle_t[before]) / (middle_t[after] - middle_t[before])
@@ -824,6 +843,15 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     for first, last in runs(off):
         late[first:last] = last - first <= _BURST
     return late
+
+
+def _median_of_five(value: FloatArray) -> FloatArray:
+    """Return the running median of five values, by comparisons of whole records."""
+    length = value.size - 4
+    a, b, c, d, e = np.lib.stride_tricks.sliding_window_view(value, length)
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.asarray(np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e)))
 
 
 def _encoder_noise(value: FloatArray) -> float:

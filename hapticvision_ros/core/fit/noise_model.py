@@ -37,6 +37,8 @@ from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
+_NEAR: Final = 128
+"""Blocks whose whitened rows stay near the processor while their products are added up."""
 _SUMMED: Final = 16
 """Blocks of up to this many samples are summed; the closed form loses digits in short ones."""
 
@@ -103,55 +105,82 @@ def _filter(  # type: ignore[no-untyped-def]
     noise = white * white
     p = variance
     log_determinant = 0.0
-    known_h = -1.0
-    known_n = -1.0
+    determinant = 1.0
+    # What a block's length makes of it, worked out once for each number of samples.
+    known = np.full((int(count.max()) + 1 if count.size else 1, 5), -1.0)
+    last_h = -1.0
+    last_n = -1.0
+    known_extra = -1.0
     a = 0.0
     b = 0.0
-    mean_variance = 0.0
+    s = 1.0
+    g = 0.0
+    w = 0.0
+    own = 0.0
     joint = 0.0
+    steady = False
     for i in range(duration.size):
         h = duration[i]
         n = count[i]
         # Stamps are rounded: almost the same duration has the same filter.
-        if n != known_n or abs(h - known_h) > 1e-6 * h:
-            known_h = h
-            known_n = n
-            b = np.exp(-h / tau)
-            if n > 0.0:
-                x = h / (n * tau)
-                phi = np.exp(-x)
-                gone = -np.expm1(-x)
-                all_gone = -np.expm1(-h / tau)
-                a = phi * all_gone / (n * gone)
-                if n <= _SUMMED:
-                    pairs = n
-                    power = 1.0
-                    for k in range(1, int(n)):
-                        power *= phi
-                        pairs += 2.0 * (n - k) * power
-                else:
-                    pairs = n * (1.0 + phi) / gone - 2.0 * phi * all_gone / (gone * gone)
-                mean_variance = variance * max(pairs / (n * n) - a * a, 0.0)
-                joint = variance * (all_gone / (n * gone) - a * b)
+        if n != last_n or abs(h - last_h) > 1e-6 * h:
+            last_h = h
+            last_n = n
+            steady = False
+            of = known[int(n)]
+            if abs(h - of[0]) > 1e-6 * h:
+                of[0] = h
+                of[1] = np.exp(-h / tau)
+                if n > 0.0:
+                    x = h / (n * tau)
+                    phi = np.exp(-x)
+                    gone = -np.expm1(-x)
+                    all_gone = -np.expm1(-h / tau)
+                    of[2] = phi * all_gone / (n * gone)
+                    if n <= _SUMMED:
+                        pairs = n
+                        power = 1.0
+                        for k in range(1, int(n)):
+                            power *= phi
+                            pairs += 2.0 * (n - k) * power
+                    else:
+                        pairs = n * (1.0 + phi) / gone - 2.0 * phi * all_gone / (gone * gone)
+                    of[3] = variance * max(pairs / (n * n) - of[2] * of[2], 0.0) + noise / n
+                    of[4] = variance * (all_gone / (n * gone) - of[2] * of[1])
+            b = of[1]
+            a = of[2]
+            own = of[3]
+            joint = of[4]
         if n > 0.0:
-            s = a * a * p + mean_variance + noise / n + extra[i]
-            c = b * a * p + joint
-            g = c / s
+            # Among like blocks the filter soon changes no more: it is not worked out again.
+            if not steady or extra[i] != known_extra:
+                known_extra = extra[i]
+                s = a * a * p + own + known_extra
+                c = b * a * p + joint
+                w = 1.0 / np.sqrt(s)
+                g = c * w * w
+                after = b * b * p + variance * (1.0 - b * b) - g * c
+                if after < 0.0:
+                    after = 0.0
+                steady = abs(after - p) <= 1e-13 * variance
+                p = after
             seen[i] = a
             passed[i] = b
             gain[i] = g
-            weight[i] = 1.0 / np.sqrt(s)
-            log_determinant += np.log(s)
-            p = b * b * p + variance * (1.0 - b * b) - g * c
-            if p < 0.0:
-                p = 0.0
+            weight[i] = w
+            determinant *= s
+            # One logarithm for as many blocks as a number can hold.
+            if not 1e-150 < determinant < 1e150:
+                log_determinant += np.log(determinant)
+                determinant = 1.0
         else:
+            steady = False
             seen[i] = 0.0
             passed[i] = b
             gain[i] = 0.0
             weight[i] = 0.0
             p = b * b * p + variance * (1.0 - b * b)
-    return log_determinant
+    return log_determinant + np.log(determinant)
 
 
 @kernel()
@@ -187,6 +216,32 @@ def _whiten(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-d
             out[j, i] = (r0 - seen[i] * a) * weight[i]
             a = (passed[i] - gain[i] * seen[i]) * a + gain[i] * r0
         j += 1
+
+
+@kernel(fastmath={'reassoc', 'contract'})
+def _products(seen, passed, gain, weight, columns, out):  # type: ignore[no-untyped-def]
+    """Add up the products of the whitened columns, two by two, in the upper half of `out`."""
+    count = columns.shape[1]
+    state = np.zeros(count)
+    # As many blocks at a time as stay near: then the products go side by side.
+    white = np.empty((count, _NEAR))
+    for first in range(0, weight.size, _NEAR):
+        size = min(_NEAR, weight.size - first)
+        for i in range(size):
+            a = seen[first + i]
+            g = gain[first + i]
+            w = weight[first + i]
+            carry = passed[first + i] - g * a
+            for j in range(count):
+                r = columns[first + i, j]
+                white[j, i] = (r - a * state[j]) * w
+                state[j] = carry * state[j] + g * r
+        for j in range(count):
+            for k in range(j, count):
+                total = 0.0
+                for i in range(size):
+                    total += white[j, i] * white[k, i]
+                out[j, k] += total
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +317,25 @@ class Record:
     own: FloatArray
 
 
+class _Pile:
+    """Records laid out for the likelihood of many noises, once."""
+
+    def __init__(self, records: Sequence[Record], *, bare: bool = False) -> None:
+        shared = 0 if bare else records[0].shared.shape[0]
+        self.records = []
+        self.samples = 0
+        first = shared
+        for record in records:
+            last = first + (0 if bare else record.own.shape[0])
+            rows = () if bare else (record.shared, record.own)
+            columns = np.vstack((*rows, record.residual[np.newaxis])).T.copy()
+            place = np.concatenate((np.arange(shared), np.arange(first, last)))
+            self.records.append((record.blocks, columns, place))
+            self.samples += int(np.count_nonzero(record.blocks.count))
+            first = last
+        self.parameters = first
+
+
 def estimate(
     records: Sequence[Record],
     start: SensorNoise,
@@ -299,7 +373,9 @@ def estimate(
     longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
-    def cost(point: FloatArray, given: Sequence[Record] = records) -> float:
+    pile = _Pile(records)
+
+    def cost(point: FloatArray, given: _Pile = pile) -> float:
         share, log_time = point
         if not limits[0] <= log_time <= limits[1]:
             return math.inf
@@ -310,22 +386,20 @@ def estimate(
     point[1] = np.clip(point[1], *limits)
     size = 0.4
     if everywhere:
-        bare = [
-            Record(r.blocks, r.residual, *(np.zeros((0, r.residual.size)),) * 2) for r in records
-        ]
+        bare = _Pile(records, bare=True)
         times = np.linspace(*limits, 6)
         grid = [np.array([share, time]) for share in (-3.0, 0.0, 4.0) for time in times]
         point = min((*grid, point), key=lambda at: cost(at, bare))
         size = 1.0
     point = _simplex(cost, point, size)
     relative = _split(point[0], math.exp(point[1]), start.std)
-    _, level = _restricted(records, relative)
+    _, level = _restricted(pile, relative)
     return SensorNoise(level * relative.white, level * relative.slow, relative.correlation_time)
 
 
 def deviance(records: Sequence[Record], noise: SensorNoise) -> float:
     """Return minus twice the restricted log likelihood of a noise of the best level."""
-    return _restricted(records, noise)[0]
+    return _restricted(_Pile(records), noise)[0]
 
 
 def _split(log_ratio: float, correlation_time: float, std: float) -> SensorNoise:
@@ -336,25 +410,20 @@ def _split(log_ratio: float, correlation_time: float, std: float) -> SensorNoise
     )
 
 
-def _restricted(records: Sequence[Record], noise: SensorNoise) -> tuple[float, float]:
+def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
     """Return minus twice the restricted log likelihood at the best level, and that level."""
-    p = records[0].shared.shape[0]
-    total = p + sum(record.own.shape[0] for record in records)
-    normal = np.zeros((total, total))
-    gradient = np.zeros(total)
-    squares, log_determinant, samples, first = 0.0, 0.0, 0, p
-    for record in records:
-        filter_ = whitener(record.blocks, noise)
-        rows = filter_(np.vstack((record.shared, record.own, record.residual[np.newaxis])))
-        products = rows @ rows.T
-        last = first + record.own.shape[0]
-        place = np.r_[0:p, first:last]
-        normal[np.ix_(place, place)] += products[:-1, :-1]
+    normal = np.zeros((pile.parameters, pile.parameters))
+    gradient = np.zeros(pile.parameters)
+    squares, log_determinant, samples = 0.0, 0.0, pile.samples
+    for blocks, columns, place in pile.records:
+        filter_ = whitener(blocks, noise)
+        products = np.zeros((columns.shape[1],) * 2)
+        _products(filter_.seen, filter_.passed, filter_.gain, filter_.weight, columns, products)
+        normal[place[:, np.newaxis], place] += products[:-1, :-1]
         gradient[place] += products[:-1, -1]
         squares += float(products[-1, -1])
         log_determinant += filter_.log_determinant
-        samples += int(np.count_nonzero(record.blocks.count))
-        first = last
+    normal = np.triu(normal) + np.triu(normal, 1).T
     scale = np.sqrt(np.diag(normal))
     seen = scale > 0.0
     scale = scale[seen]
