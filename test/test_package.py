@@ -33,7 +33,12 @@ ROOT = Path(__file__).resolve().parent.parent
 NAME = 'hapticvision_ros'
 MANIFEST = ElementTree.parse(ROOT / 'package.xml').getroot()
 ROS_PACKAGES = re.compile(r'rclpy|launch\w*|ament_\w+|std_srvs|\w+_(msgs|interfaces)')
-MODULE_OF = {'opencv-python-headless': 'cv2', 'pyyaml': 'yaml', 'ros-jazzy-rclpy': 'rclpy'}
+MODULE_OF = {
+    'opencv-python-headless': 'cv2',
+    'pyserial': 'serial',
+    'pyyaml': 'yaml',
+    'ros-jazzy-rclpy': 'rclpy',
+}
 """Requirements whose module has another name."""
 WITHOUT_MODULE = {
     'ros-jazzy-common-interfaces': 'std_msgs',

@@ -40,12 +40,55 @@ class WrenchSample:
         Force of the object on the tool [N] in the frame `load_cell`, +z along the push.
     torque : tuple of float
         Torque [N.m] in the same frame.
+    saturated : bool
+        Whether the device says that the load is beyond what it can measure.
+    fault : str
+        What else the device says is wrong with the reading; empty where nothing is.
 
     """
 
     stamp_ns: int
     force: tuple[float, float, float]
     torque: tuple[float, float, float]
+    saturated: bool = False
+    fault: str = ''
+
+
+@dataclass(slots=True)
+class StreamCounts:
+    """
+    What a back end has seen on its stream since it was made.
+
+    Parameters
+    ----------
+    received : int
+        Readings handed over.
+    lost : int
+        Readings that never came, by the device's own numbers; 0 where it has none.
+    late : int
+        Readings that came again, or after a newer one; they are left out.
+    garbled : int
+        What came and is no reading.
+    restarts : int
+        How often the device began to count anew.
+
+    """
+
+    received: int = 0
+    lost: int = 0
+    late: int = 0
+    garbled: int = 0
+    restarts: int = 0
+
+    def __add__(self, other: 'StreamCounts') -> 'StreamCounts':
+        """Return the counts of both: of a device before and after it was opened again."""
+        return StreamCounts(
+            self.received + other.received,
+            self.lost + other.lost,
+            self.late + other.late,
+            self.garbled + other.garbled,
+            self.restarts + other.restarts,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +120,11 @@ class RangeFrame:
 class LoadCell(Protocol):
     """A force sensor that streams samples."""
 
+    @property
+    def counts(self) -> StreamCounts:
+        """Return what has been seen on the stream so far."""
+        ...
+
     def read(self, timeout: float) -> Sequence[WrenchSample]:
         """Return the samples since the last call, waiting up to `timeout` [s] for the first."""
         ...
@@ -88,6 +136,11 @@ class LoadCell(Protocol):
 
 class RangeSensor(Protocol):
     """A sensor that measures the shape of what is before it."""
+
+    @property
+    def counts(self) -> StreamCounts:
+        """Return what has been seen on the stream so far."""
+        ...
 
     def grab(self, timeout: float) -> RangeFrame:
         """Return the next frame, waiting up to `timeout` [s]."""

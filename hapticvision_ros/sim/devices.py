@@ -27,6 +27,7 @@ from hapticvision_ros.core.devices import (
     LoadCell,
     RangeFrame,
     RangeSensor,
+    StreamCounts,
     WrenchSample,
 )
 from hapticvision_ros.core.errors import DeviceError
@@ -154,6 +155,7 @@ class SimulatedLoadCell:
 
     def __init__(self, link: _Link) -> None:
         self._link = link
+        self.counts = StreamCounts()
 
     def read(self, timeout: float) -> Sequence[WrenchSample]:
         """Return the samples since the last call, waiting up to `timeout` [s] for the first."""
@@ -161,6 +163,7 @@ class SimulatedLoadCell:
         for datagram in self._link.receive(FORCE_PACKET.size, timeout):
             stamp, fx, fy, fz, tx, ty, tz = FORCE_PACKET.unpack(datagram)
             samples.append(WrenchSample(stamp, (fx, fy, fz), (tx, ty, tz)))
+        self.counts.received += len(samples)
         return samples
 
     def close(self) -> None:
@@ -197,11 +200,13 @@ class SimulatedRangeSensor:
     def __init__(self, link: _Link, renderer: RangeRenderer) -> None:
         self._link = link
         self._renderer = renderer
+        self.counts = StreamCounts()
 
     def grab(self, timeout: float) -> RangeFrame:
         """Return the next frame, waiting up to `timeout` [s]; late frames are skipped."""
         newest = self._link.receive(SHAPE_PACKET.size, timeout)[-1]
         stamp, tool_height, displacement = SHAPE_PACKET.unpack(newest)
+        self.counts.received += 1
         return RangeFrame(stamp, self._renderer.render(tool_height, displacement))
 
     def close(self) -> None:
