@@ -52,6 +52,7 @@ FIELDS: Final = {
     ),
     'std_msgs/msg/Float64': (('data', 'the number, in the unit named above'),),
     'std_msgs/msg/String': (('data', 'the text'),),
+    'std_msgs/msg/Bool': (('data', 'true or false'),),
     'sensor_msgs/msg/PointCloud2': (
         *_STAMP,
         ('height', 'rows; 1 if the cloud is not organised'),

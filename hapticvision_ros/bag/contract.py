@@ -246,6 +246,34 @@ EXPERIMENT_RESULT: Final = _cell_topic(
     '-',
     'How the last experiment ended, and where its bags are.',
 )
+HEARTBEAT: Final = Topic(
+    name='/experiment/heartbeat',
+    msgtype='std_msgs/msg/Float64',
+    unit='s',
+    frame_id='-',
+    rate_hz=(5.0, 20.0),
+    required=False,
+    stamped=False,
+    qos=Qos(publish_depth=1, subscribe_depth=1),
+    meaning='Who watches over the pushes is alive: seconds since it began. A push goes on only '
+    'while it is heard.',
+)
+EMERGENCY_STOP: Final = _cell_topic(
+    '/emergency_stop',
+    'std_msgs/msg/Bool',
+    '-',
+    '-',
+    'True stops and retracts the tool and forbids motion; false releases the stop, after which '
+    'motion has to be allowed again. Heard from a publisher of any quality of service.',
+)
+PUSH_REPORT: Final = _cell_topic(
+    '/arm/push_report',
+    'diagnostic_msgs/msg/DiagnosticStatus',
+    '-',
+    '-',
+    'How the last push ended: why it was aborted, peak force, overshoot beyond the limit, depth, '
+    'hold and relaxation time.',
+)
 
 CELL_TOPICS: Final = (
     CONTACT_POINT,
@@ -261,6 +289,9 @@ CELL_TOPICS: Final = (
     EXPERIMENT_STATUS,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
+    HEARTBEAT,
+    EMERGENCY_STOP,
+    PUSH_REPORT,
 )
 """What the nodes of a cell exchange beside the bag contract."""
 
@@ -307,6 +338,11 @@ PUSH: Final = Service(
 STOP: Final = Service(
     '/arm_push_controller/stop', 'std_srvs/srv/Trigger', 'Stop the push and retract.'
 )
+RETRACT: Final = Service(
+    '/arm_push_controller/retract',
+    'std_srvs/srv/Trigger',
+    'Raise a tool that was left low; refused unless enabled, and agreed to once the tool is up.',
+)
 FIT: Final = Service(
     '/rheology_fitter/fit',
     'std_srvs/srv/Trigger',
@@ -330,6 +366,7 @@ SERVICES: Final = (
     ENABLE,
     PUSH,
     STOP,
+    RETRACT,
     FIT,
     RESET,
     START_EXPERIMENT,

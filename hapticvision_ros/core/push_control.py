@@ -17,7 +17,7 @@ The push control law: approach, push, hold, release, recover, within limits.
 
 A pure state machine: `PushControl.step` gets the time and the latest readings and returns the
 speed to command. Whatever is wrong ends in `aborted`: the tool stops, or retracts while its
-height is known.
+height is known. From then on no input brings it down again.
 """
 
 from dataclasses import dataclass, fields
@@ -25,6 +25,7 @@ from math import inf, isfinite
 from typing import Final, Literal, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.hold import HoldEstimator, RelaxationTime
 
 type PushPhase = Literal['approach', 'push', 'hold', 'release', 'recover', 'done', 'aborted']
 
@@ -33,6 +34,46 @@ TOUCH_READINGS: Final = 2
 
 RETRACT_PATIENCE: Final = 2.0
 """How long an aborted push waits for the arm's height to come back, to retract [s]."""
+
+FROZEN_READINGS: Final = 10
+"""Fewer readings of the very same force do not count as frozen, however long they take."""
+
+BACKWARD_STAMPS: Final = 20
+"""So many stamps in a row far before the newest tell that a clock was set back."""
+
+SET_BACK: Final = 1.0
+"""How far before the newest a stamp must lie for that [s]."""
+
+WORKSPACE_MARGIN: Final = 0.001
+"""How far outside of its workspace or its depth the tool aborts a push [m]."""
+
+PROGRESS: Final = 0.0002
+"""A retracting tool that has not come up by so much for `RETRACT_PATIENCE` is stuck [m]."""
+
+SURE: Final = 0.2
+"""Largest relative standard deviation with which a relaxation time ends a hold."""
+
+LEAST_HOLD: Final = 0.5
+"""Shortest hold that a relaxation time may ask for [s]."""
+
+type HoldMode = Literal['fixed', 'auto']
+HOLD_MODES: Final[tuple[HoldMode, ...]] = ('fixed', 'auto')
+
+
+def hold_mode(name: str) -> HoldMode:
+    """
+    Return a mode of holding by its name.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name.
+
+    """
+    for mode in HOLD_MODES:
+        if name == mode:
+            return mode
+    raise InputError(f"The hold_mode is '{name}'; choose from {', '.join(HOLD_MODES)}.")
 
 
 class Reading(NamedTuple):
@@ -61,12 +102,19 @@ class MeasuredTime:
         self._largest_drift = largest_drift
         self._offset = inf
         self._received = -inf
+        self._newest = -inf
+        self._backward = 0
 
     def of(self, stamp: float, received: float) -> float:
         """Return when the sample with this stamp [s], received at `received` [s], was measured."""
         if isfinite(self._received):
             self._offset += self._largest_drift * (received - self._received)
         self._received = received
+        # Late, repeated and reordered samples come singly; a clock that was set back stays there.
+        self._backward = self._backward + 1 if stamp < self._newest - SET_BACK else 0
+        if self._backward >= BACKWARD_STAMPS:
+            self._offset, self._newest, self._backward = inf, stamp, 0
+        self._newest = max(self._newest, stamp)
         self._offset = min(self._offset, received - stamp)
         return stamp + self._offset
 
@@ -90,7 +138,8 @@ class PushGoal:
     depth : float
         How far the tool pushes on from the touch [m].
     hold_time, recover_time : float
-        How long the tool holds its depth, and waits above the object after the release [s].
+        How long the tool holds its depth (in an auto hold: at most), and waits above the object
+        after the release [s].
     release_speed : float
         Speed of the withdrawal [m/s].
     approach_speed : float
@@ -106,6 +155,11 @@ class PushGoal:
         How long the force's zero is averaged before the tool moves [s].
     surface_height : float or None
         Height of the surface above the support plane at the contact point [m], if planned.
+    hold_mode : {'fixed', 'auto'}
+        Whether the hold ends after `hold_time`, or as soon as it has lasted `hold_factor`
+        relaxation times, which are estimated from the force meanwhile.
+    hold_factor : float
+        For an auto hold. The longer the hold, the less is left to measure after the release.
 
     """
 
@@ -120,6 +174,8 @@ class PushGoal:
     touch_force: float
     zero_time: float
     surface_height: float | None = None
+    hold_mode: HoldMode = 'fixed'
+    hold_factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +197,14 @@ class PushLimits:
         Longest time from the start to the end of a push [s].
     stale_time : float
         A reading older than this is no reading [s].
+    frozen_time : float
+        A force that keeps the very same value for longer is that of a saturated or dead sensor
+        [s]; 0 if the load cell is so coarse that it may.
+    heartbeat_time : float
+        A push goes on only while who watches over it has been heard within this time [s]; 0 if
+        nobody does.
+    touch_margin : float
+        How far below the planned surface the tool goes on without a touch [m].
     stop_lead : float
         Time that the tool goes on after a stop command, in effect: the latency of the loop and
         half the braking time [s].
@@ -154,7 +218,43 @@ class PushLimits:
     highest_height: float
     max_duration: float
     stale_time: float
+    frozen_time: float
+    heartbeat_time: float
+    touch_margin: float
     stop_lead: float
+
+
+@dataclass(frozen=True, slots=True)
+class PushReport:
+    """
+    What a push came to.
+
+    Parameters
+    ----------
+    reason : str or None
+        Why it was aborted.
+    peak_force : float
+        Largest magnitude of the force that was read [N].
+    overshoot : float
+        By how much the force went beyond its limit, also after the stop [N].
+    touch_height : float or None
+        Height of the tool tip at the touch [m].
+    depth : float
+        How deep the tool came after the touch [m].
+    hold_time : float
+        How long it held its depth [s].
+    relaxation_time : RelaxationTime or None
+        What the hold told of it.
+
+    """
+
+    reason: str | None
+    peak_force: float
+    overshoot: float
+    touch_height: float | None
+    depth: float
+    hold_time: float
+    relaxation_time: RelaxationTime | None
 
 
 def check_goal(goal: PushGoal, limits: PushLimits, tool_height: float) -> None:
@@ -179,6 +279,9 @@ def check_goal(goal: PushGoal, limits: PushLimits, tool_height: float) -> None:
     for field in fields(goal):
         value = getattr(goal, field.name)
         if field.name == 'surface_height' and value is None:
+            continue
+        if field.name == 'hold_mode':
+            hold_mode(value)
             continue
         if not isfinite(value) or value < 0.0:
             raise InputError(f'A push needs a {field.name} of zero or more, not {value}.')
@@ -294,20 +397,76 @@ class PushControl:
 
     def __init__(self, goal: PushGoal, limits: PushLimits, t: float, tool_height: float) -> None:
         check_goal(goal, limits, tool_height)
-        self.phase: PushPhase = 'approach'
+        self._begin(goal, limits, t, tool_height, 'approach')
+
+    @classmethod
+    def retraction(
+        cls, limits: PushLimits, t: float, *, speed: float, to_height: float
+    ) -> 'PushControl':
+        """
+        Return a push that has only its retraction left.
+
+        For a tool that was left where it is, as by a controller that died.
+
+        Parameters
+        ----------
+        limits : PushLimits
+            What not to exceed.
+        t : float
+            Time of the start [s].
+        speed : float
+            Speed of the retraction [m/s].
+        to_height : float
+            Where it ends [m].
+
+        Returns
+        -------
+        PushControl
+            In the phase `aborted`.
+
+        """
+        goal = PushGoal(
+            push_speed=limits.max_speed,
+            depth=limits.max_depth,
+            hold_time=0.0,
+            recover_time=0.0,
+            release_speed=min(speed, limits.max_speed),
+            approach_speed=limits.max_speed,
+            approach_gap=0.0,
+            clearance=0.0,
+            touch_force=limits.max_force,
+            zero_time=0.0,
+        )
+        control = cls.__new__(cls)
+        control._begin(goal, limits, t, to_height, 'aborted')
+        return control
+
+    def _begin(
+        self, goal: PushGoal, limits: PushLimits, t: float, retract_height: float, phase: PushPhase
+    ) -> None:
+        self.phase: PushPhase = phase
         self.reason: str | None = None
         self._goal = goal
         self._limits = limits
         self._started = t
         self._phase_started = t
-        self._retract_height = tool_height
+        self._retract_height = retract_height
         self._touch_height: float | None = None
-        self._candidate_height = tool_height
+        self._candidate_height = retract_height
         self._touch_readings = 0
-        self._last_force_t = -inf
+        self._last_force = Reading(-inf, 0.0)
+        self._changed = t
+        self._same_readings = 0
+        self._new_force = False
         self._zero_sum = 0.0
         self._zero_count = 0
         self._at_rest = False
+        self._highest = -inf
+        self._progress = t
+        self._hold: HoldEstimator | None = None
+        self._hold_time = 0.0
+        self._lowest = inf
+        self._peak_force = 0.0
 
     @property
     def finished(self) -> bool:
@@ -319,6 +478,19 @@ class PushControl:
         """Height of the tool tip at the touch [m], or None before it."""
         return self._touch_height
 
+    def report(self) -> PushReport:
+        """Return what the push has come to so far."""
+        touch = self._touch_height
+        return PushReport(
+            reason=self.reason,
+            peak_force=self._peak_force,
+            overshoot=max(0.0, self._peak_force - self._limits.max_force),
+            touch_height=touch,
+            depth=0.0 if touch is None else max(0.0, touch - self._lowest),
+            hold_time=self._hold_time,
+            relaxation_time=None if self._hold is None else self._hold.estimate(),
+        )
+
     def abort(self, reason: str, t: float) -> None:
         """End the push because of `reason`: the next steps stop and retract the tool."""
         if self.phase in ('done', 'aborted'):
@@ -326,7 +498,13 @@ class PushControl:
         self.reason = reason
         self._enter('aborted', t)
 
-    def step(self, t: float, tool: Reading | None, force: Reading | None) -> Command:
+    def step(
+        self,
+        t: float,
+        tool: Reading | None,
+        force: Reading | None,
+        heartbeat: float | None = None,
+    ) -> Command:
         """
         Advance to time `t` and return what to command.
 
@@ -338,6 +516,8 @@ class PushControl:
             Latest height of the tool tip [m].
         force : Reading or None
             Latest contact force [N], positive in compression, with the load cell's zero.
+        heartbeat : float or None
+            When who watches over the push was last heard [s].
 
         Returns
         -------
@@ -347,23 +527,46 @@ class PushControl:
         """
         height = self._fresh(tool, t)
         contact_force = self._fresh(force, t)
+        self._note(t, height, contact_force, force)
         if self.phase not in ('done', 'aborted'):
-            self._check(t, height, contact_force)
+            self._check(t, height, contact_force, heartbeat)
         if height is None:
             # Without its height the tool may neither push nor retract.
-            if self.phase == 'aborted' and t - self._phase_started > RETRACT_PATIENCE:
-                self._at_rest = True
+            if self.phase == 'aborted':
+                self._wait(t)
             return Command(0.0, self.phase)
-        speed = self._advance(t, height, force)
-        return Command(speed, self.phase)
+        speed = self._advance(t, height, contact_force)
+        most = self._limits.max_speed
+        return Command(min(max(speed, -most), most), self.phase)
 
     def _fresh(self, reading: Reading | None, t: float) -> float | None:
         if reading is None or not isfinite(reading.value):
             return None
         return reading.value if t - reading.t <= self._limits.stale_time else None
 
-    def _check(self, t: float, height: float | None, force: float | None) -> None:
+    def _note(
+        self, t: float, height: float | None, force: float | None, reading: Reading | None
+    ) -> None:
+        """Take note of the readings for what looks at more than the latest."""
+        if height is not None:
+            self._lowest = min(self._lowest, height)
+        self._new_force = False
+        if force is None or reading is None:
+            return
+        self._peak_force = max(self._peak_force, abs(force))
+        if reading.t > self._last_force.t:
+            self._new_force = True
+            if force != self._last_force.value:
+                self._changed, self._same_readings = t, 0
+            else:
+                self._same_readings += 1
+            self._last_force = reading
+
+    def _check(
+        self, t: float, height: float | None, force: float | None, heartbeat: float | None
+    ) -> None:
         limits = self._limits
+        touch = self._touch_height
         if height is None:
             self.abort("The arm's height is missing, stale or not a number.", t)
         elif force is None:
@@ -376,16 +579,44 @@ class PushControl:
             )
         elif t - self._started > limits.max_duration:
             self.abort(f'The push takes longer than {limits.max_duration:.4g} s.', t)
+        elif limits.heartbeat_time > 0.0 and (
+            heartbeat is None or t - heartbeat > limits.heartbeat_time
+        ):
+            self.abort(
+                'The experiment orchestrator, which watches over the push, has been silent for '
+                f'{limits.heartbeat_time:.4g} s.',
+                t,
+            )
+        elif (
+            0.0 < limits.frozen_time < t - self._changed and self._same_readings >= FROZEN_READINGS
+        ):
+            self.abort(
+                f'The contact force has been {force:.6g} N exactly for {limits.frozen_time:.4g} '
+                's: the load cell is saturated or dead.',
+                t,
+            )
+        elif not (
+            limits.lowest_height - WORKSPACE_MARGIN
+            <= height
+            <= limits.highest_height + WORKSPACE_MARGIN
+        ):
+            self.abort(f'The tool has left its workspace: it is at {height * 1e3:.4g} mm.', t)
+        elif touch is not None and touch - height > limits.max_depth + WORKSPACE_MARGIN:
+            self.abort(
+                f'The tool is {(touch - height) * 1e3:.4g} mm deep; the cell allows '
+                f'{limits.max_depth * 1e3:.4g} mm.',
+                t,
+            )
 
-    def _advance(self, t: float, height: float, force: Reading | None) -> float:
+    def _advance(self, t: float, height: float, force: float | None) -> float:
         goal = self._goal
         match self.phase:
             case 'approach' if force is not None:
                 return self._approach(t, height, force)
             case 'push':
                 return self._push(t, height)
-            case 'hold':
-                if t - self._phase_started < goal.hold_time:
+            case 'hold' if force is not None:
+                if self._keeps_holding(t, force):
                     return 0.0
                 self._enter('release', t)
                 return -goal.release_speed
@@ -400,25 +631,20 @@ class PushControl:
                     self._at_rest = True
                 return 0.0
             case 'aborted' if not self._at_rest:
-                if height < self._release_height():
-                    return -goal.release_speed
-                self._at_rest = True
-                return 0.0
+                return self._retract(t, height, force)
             case _:
                 return 0.0
 
-    def _approach(self, t: float, height: float, force: Reading) -> float:
+    def _approach(self, t: float, height: float, force: float) -> float:
         goal = self._goal
-        new = force.t > self._last_force_t
-        self._last_force_t = max(self._last_force_t, force.t)
         if t - self._started < goal.zero_time or not self._zero_count:
-            if new:
-                self._zero_sum += force.value
+            if self._new_force:
+                self._zero_sum += force
                 self._zero_count += 1
             return 0.0
-        if new:
+        if self._new_force:
             zero = self._zero_sum / self._zero_count
-            if force.value - zero > goal.touch_force:
+            if force - zero > goal.touch_force:
                 if not self._touch_readings:
                     self._candidate_height = height
                 self._touch_readings += 1
@@ -429,11 +655,19 @@ class PushControl:
             self._enter('push', t)
             return self._push(t, height)
         speed = goal.push_speed
-        if goal.surface_height is not None and (
-            height - goal.approach_speed * self._limits.stop_lead
-            > goal.surface_height + goal.approach_gap
-        ):
-            speed = goal.approach_speed
+        if goal.surface_height is not None:
+            if height < goal.surface_height - self._limits.touch_margin:
+                self.abort(
+                    f'The tool is {(goal.surface_height - height) * 1e3:.4g} mm below the planned '
+                    'surface without having touched anything: see to the load cell and the plan.',
+                    t,
+                )
+                return 0.0
+            if (
+                height - goal.approach_speed * self._limits.stop_lead
+                > goal.surface_height + goal.approach_gap
+            ):
+                speed = goal.approach_speed
         return self._downward(t, height, speed, 'without touching anything')
 
     def _push(self, t: float, height: float) -> float:
@@ -441,6 +675,7 @@ class PushControl:
         assert self._touch_height is not None
         if height - goal.push_speed * self._limits.stop_lead <= self._touch_height - goal.depth:
             self._enter('hold', t)
+            self._hold = HoldEstimator(t)
             return 0.0
         return self._downward(t, height, goal.push_speed, 'before the depth was reached')
 
@@ -454,6 +689,45 @@ class PushControl:
             t,
         )
         return 0.0
+
+    def _keeps_holding(self, t: float, force: float) -> bool:
+        """Return whether the hold goes on, and take note of how long it has lasted."""
+        goal = self._goal
+        self._hold_time = t - self._phase_started
+        assert self._hold is not None
+        if self._new_force:
+            self._hold.add(self._last_force.t, force)
+        if self._hold_time >= goal.hold_time:
+            return False
+        if goal.hold_mode == 'fixed' or self._hold_time < LEAST_HOLD:
+            return True
+        estimate = self._hold.estimate()
+        return (
+            estimate is None
+            or estimate.std > SURE * estimate.value
+            or self._hold_time < goal.hold_factor * estimate.value
+        )
+
+    def _retract(self, t: float, height: float, force: float | None) -> float:
+        """Return the speed of an aborted push, which goes up or nowhere."""
+        if height >= self._release_height():
+            self._at_rest = True
+            return 0.0
+        if force is not None and force < -self._limits.max_force:
+            # What sticks to the tool must not be torn off.
+            self._wait(t)
+            return 0.0
+        if height > self._highest:
+            # A slow retraction gets on as well.
+            self._highest = height + min(PROGRESS, 0.5 * self._goal.release_speed)
+            self._progress = t
+        self._wait(t)
+        return 0.0 if self._at_rest else -self._goal.release_speed
+
+    def _wait(self, t: float) -> None:
+        """End an aborted push that has not got on for too long."""
+        if t - max(self._progress, self._phase_started) > RETRACT_PATIENCE:
+            self._at_rest = True
 
     def _release_height(self) -> float:
         height = -inf if self.phase == 'release' else self._retract_height

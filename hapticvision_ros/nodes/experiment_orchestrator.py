@@ -37,6 +37,7 @@ from hapticvision_ros.bag.contract import (
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
+    HEARTBEAT,
     PHASE,
     PLAN,
     PUSH,
@@ -59,7 +60,11 @@ from hapticvision_ros.core.experiment import (
     Outcome,
     Step,
 )
-from hapticvision_ros.nodes.conversions import stamp_from_ns, status_to_message
+from hapticvision_ros.nodes.conversions import (
+    scalar_to_message,
+    stamp_from_ns,
+    status_to_message,
+)
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_client, create_publisher, create_service
@@ -163,6 +168,8 @@ PARAMETERS: Final = (
     ),
 )
 
+HEARTBEAT_PERIOD: Final = 0.1
+"""Time between two heartbeats, on which the arm's controller relies [s]."""
 _CLOSE_TIMEOUT: Final = 3.0
 _STOPPED: Final = 'the orchestrator was stopped'
 _LEVELS: Final = {
@@ -255,6 +262,9 @@ class ExperimentOrchestrator(CellNode):
             for service in (PLAN, TARE, ENABLE, PUSH, STOP, RESET)
         }
         self._configure = self.create_client(SetParameters, f'{ARM_NODE}/set_parameters')
+        self._began = time.monotonic()
+        self._beaten = 0.0
+        self._heartbeat = create_publisher(self, HEARTBEAT)
         self._status_publisher = create_publisher(self, EXPERIMENT_STATUS)
         self._feedback_publisher = create_publisher(self, EXPERIMENT_FEEDBACK)
         self._result_publisher = create_publisher(self, EXPERIMENT_RESULT)
@@ -370,6 +380,10 @@ class ExperimentOrchestrator(CellNode):
     def _on_tick(self) -> None:
         """Take what has come, and go on."""
         now = time.monotonic()
+        # From here and not from a thread: it tells that the work goes on.
+        if now - self._beaten >= HEARTBEAT_PERIOD:
+            self._beaten = now
+            self._heartbeat.publish(scalar_to_message(now - self._began))
         self._take(now)
         experiment = self._experiment
         if experiment is None or experiment.step is Step.END:

@@ -32,6 +32,7 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -79,7 +80,7 @@ class CellNode(Node):  # type: ignore[misc]
         self.failure: BaseException | None = None
         self._threads: list[threading.Thread] = []
 
-    def spawn(self, target: Callable[[], None], name: str) -> None:
+    def spawn(self, target: Callable[[], None], name: str) -> threading.Thread:
         """Run `target` in a thread of this node; what it raises ends the node."""
 
         def guarded() -> None:
@@ -92,6 +93,7 @@ class CellNode(Node):  # type: ignore[misc]
         thread = threading.Thread(target=guarded, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
+        return thread
 
     def fail(self, error: BaseException) -> None:
         """End the node because of `error`; safe to call from any thread."""
@@ -108,6 +110,14 @@ class CellNode(Node):  # type: ignore[misc]
         self.stopping.set()
         for thread in self._threads:
             thread.join(THREAD_JOIN_TIMEOUT)
+
+
+class ManagedCellNode(LifecycleNodeMixin, CellNode):  # type: ignore[misc]
+    """A node of the cell with the states of a managed node: unconfigured, inactive, active."""
+
+    def __init__(self, name: str, table: Sequence[ParameterSpec]) -> None:
+        CellNode.__init__(self, name, table)
+        LifecycleNodeMixin.__init__(self)
 
 
 def deliver(node: Node) -> None:

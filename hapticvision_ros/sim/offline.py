@@ -207,6 +207,9 @@ def _limits(config: WorldConfig, plan: TrialPlan) -> PushLimits:
         highest_height=arm.highest_height,
         max_duration=LONGEST_TRIAL,
         stale_time=arm.watchdog,
+        frozen_time=0.0,
+        heartbeat_time=0.0,
+        touch_margin=config.block.height,
         stop_lead=CONTROL_PERIOD + 0.5 * plan.push_speed / arm.acceleration,
     )
 

@@ -16,11 +16,14 @@
 
 from dataclasses import replace
 import math
+import random
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.push_control import (
+    BACKWARD_STAMPS,
     check_goal,
     expected_duration,
+    LEAST_HOLD,
     MeasuredTime,
     PushControl,
     PushGoal,
@@ -59,6 +62,10 @@ LIMITS = PushLimits(
     highest_height=0.1,
     max_duration=60.0,
     stale_time=0.1,
+    # The spring of these tests is without noise.
+    frozen_time=0.0,
+    heartbeat_time=0.0,
+    touch_margin=0.005,
     stop_lead=0.008,
 )
 
@@ -228,7 +235,7 @@ def test_a_height_that_does_not_come_back_ends_the_push_where_it_is():
 
 
 def test_nothing_to_touch_ends_above_the_lowest_height():
-    bench = Bench(surface=0.0)
+    bench = Bench(replace(GOAL, surface_height=None), surface=0.0)
     bench.run_to_the_end()
     assert bench.control.phase == 'aborted'
     assert 'without touching anything' in bench.control.reason
@@ -260,6 +267,8 @@ def test_a_push_that_takes_too_long_is_aborted():
         ({'surface_height': 0.07}, 'below the surface'),
         ({'surface_height': 0.012}, 'below the lowest allowed'),
         ({'clearance': 0.09}, 'above the highest allowed'),
+        ({'hold_mode': 'forever'}, "hold_mode is 'forever'"),
+        ({'hold_factor': math.nan}, 'hold_factor of zero or more'),
     ],
 )
 def test_a_goal_that_does_not_fit_is_refused_with_its_number(change, sentence):
@@ -341,3 +350,226 @@ def test_drifting_clocks_do_not_make_fresh_samples_look_late():
         received = float(k)
         # A slow device clock: 100 parts in a million.
         assert received - measured.of(received * (1.0 - 1e-4), received) < 1e-3
+
+
+def test_a_clock_that_is_set_back_is_followed_but_a_late_sample_is_not():
+    measured = MeasuredTime()
+    for k in range(100):
+        measured.of(1e6 + 0.01 * k, 0.01 * k)
+    # A sample that was received twice, five seconds late.
+    assert measured.of(1e6 - 4.0, 1.0) == pytest.approx(-4.0, abs=1e-3)
+    set_back = [measured.of(1e6 - 60.0 + 0.01 * k, 1.01 + 0.01 * k) for k in range(30)]
+    assert set_back[0] == pytest.approx(-60.0, abs=0.1)
+    expected = [1.01 + 0.01 * k for k in range(BACKWARD_STAMPS, 30)]
+    assert set_back[BACKWARD_STAMPS:] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize('phase', ['approach', 'push', 'hold', 'release', 'recover'])
+def test_a_silent_orchestrator_aborts_in_any_phase(phase):
+    bench = Bench(limits=replace(LIMITS, heartbeat_time=0.5))
+    control = bench.control
+    for _ in range(2000):
+        command = control.step(
+            bench.t, Reading(bench.t, bench.height), Reading(bench.t, bench.force()), bench.t - 0.1
+        )
+        bench.height -= command.push_velocity * PERIOD
+        bench.t += PERIOD
+        if command.phase == phase:
+            break
+    heard = bench.t
+    while control.phase == phase:
+        silent = bench.t - heard
+        control.step(
+            bench.t, Reading(bench.t, bench.height), Reading(bench.t, bench.force()), heard
+        )
+        bench.t += PERIOD
+        assert silent < 0.5 + 2 * PERIOD
+    assert control.phase == 'aborted' or silent < 0.5
+
+
+def test_nobody_heard_at_all_is_silence_too():
+    bench = Bench(limits=replace(LIMITS, heartbeat_time=0.5))
+    assert bench.step().phase == 'aborted'
+    assert 'has been silent' in bench.control.reason
+
+
+def test_a_saturated_load_cell_aborts_the_push():
+    bench = Bench(limits=replace(LIMITS, frozen_time=0.2))
+    bench.force = lambda: 1.0 + 1e-6 * bench.t + min(4.0, STIFFNESS * max(0, 0.04 - bench.height))
+    saturated = bench.force
+    bench.force = lambda: saturated() if saturated() < 5.0 else 5.0
+    bench.run_to_the_end()
+    assert 'saturated or dead' in bench.control.reason
+    # 0.2 s at 5 mm/s is 1 mm; the load cell saturates 2 mm deep.
+    assert bench.control.report().depth < 0.0032
+
+
+def test_a_few_equal_readings_of_a_slow_load_cell_are_not_frozen():
+    bench = Bench(limits=replace(LIMITS, frozen_time=0.01, stale_time=1.0))
+    held = None
+    for k in range(200):
+        if k % 10 == 0:
+            # 25 Hz, each value three times.
+            held = Reading(bench.t, ZERO + 0.01 * (k // 30))
+        assert bench.step(force=held).phase != 'aborted', bench.control.reason
+
+
+def test_a_surface_that_is_not_where_it_was_planned_ends_the_approach():
+    bench = Bench(surface=0.0)
+    bench.run_to_the_end()
+    assert 'below the planned surface' in bench.control.reason
+    lowest = min(height for _, height, _ in bench.log)
+    assert lowest == pytest.approx(SURFACE - LIMITS.touch_margin, abs=0.1e-3)
+
+
+def test_an_arm_that_sinks_in_the_hold_is_noticed_at_the_largest_depth():
+    bench = Bench(replace(GOAL, hold_time=50.0), limits=replace(LIMITS, max_force=500.0))
+    bench.run_until('hold')
+    for _ in range(20000):
+        bench.height -= 0.002 * PERIOD
+        if bench.step().phase == 'aborted':
+            break
+    assert 'the cell allows 20 mm' in bench.control.reason
+    assert bench.control.touch_height - bench.height < 0.0211
+
+
+def test_a_tool_that_is_stuck_does_not_pull_for_ever():
+    bench = Bench()
+    bench.run_until('hold')
+    bench.control.abort('because', bench.t)
+    began, stuck = bench.t, bench.height
+    while not bench.control.finished:
+        bench.step()
+        bench.height = stuck
+    assert bench.t - began == pytest.approx(RETRACT_PATIENCE, abs=3 * PERIOD)
+
+
+def test_what_sticks_to_the_tool_is_not_torn_off():
+    bench = Bench()
+    bench.run_until('release')
+    bench.force = lambda: -51.0
+    assert bench.step().phase == 'aborted'
+    assert bench.step().push_velocity == 0.0
+    bench.force = lambda: -40.0
+    assert bench.step().push_velocity < 0.0
+
+
+def test_the_overshoot_after_the_limit_is_reported():
+    bench = Bench(limits=replace(LIMITS, max_force=8.0))
+    late = [Reading(bench.t, ZERO)]
+    while not bench.control.finished:
+        late.append(Reading(bench.t, bench.force()))
+        bench.step(force=late[-1])
+    report = bench.control.report()
+    forces = [reading.value for reading in late]
+    assert report.reason == bench.control.reason and 'exceeds the limit' in report.reason
+    assert report.peak_force == max(forces)
+    # 10 N/s at 4 ms.
+    assert 0.0 < report.overshoot == max(forces) - 8.0 <= 0.04 + 1e-9
+    assert report.depth == pytest.approx((8.0 - ZERO - 0.2) / STIFFNESS, abs=0.1e-3)
+
+
+def relaxing(bench, time, limit, noise=0.02, seed=1):
+    """Give the bench a force that relaxes from the begin of the hold on."""
+    generator = random.Random(seed)
+    spring = bench.force
+
+    def force():
+        value = spring() + generator.gauss(0.0, noise)
+        if bench.control.phase == 'hold':
+            held = bench.t - began[0] if began else 0.0
+            if not began:
+                began.append(bench.t)
+            value -= (spring() - limit) * (1.0 - math.exp(-held / time))
+        return value
+
+    began = []
+    bench.force = force
+
+
+@pytest.mark.parametrize('time', [0.8, 2.0, 6.0])
+def test_an_auto_hold_lasts_one_relaxation_time(time):
+    bench = Bench(replace(GOAL, hold_time=40.0, hold_mode='auto'))
+    relaxing(bench, time, limit=3.0)
+    bench.run_until('release')
+    report = bench.control.report()
+    assert report.relaxation_time.value == pytest.approx(time, rel=0.1)
+    assert report.hold_time == pytest.approx(time, rel=0.1)
+
+
+def test_an_auto_hold_of_a_spring_lasts_as_long_as_is_allowed():
+    bench = Bench(replace(GOAL, hold_time=4.0, hold_mode='auto'))
+    relaxing(bench, math.inf, limit=3.0)
+    bench.run_until('release')
+    assert bench.control.report().hold_time == pytest.approx(4.0, abs=2 * PERIOD)
+
+
+def test_an_auto_hold_is_never_over_at_once():
+    bench = Bench(replace(GOAL, hold_time=4.0, hold_mode='auto'))
+    relaxing(bench, 0.05, limit=3.0)
+    bench.run_until('release')
+    assert bench.control.report().hold_time >= LEAST_HOLD
+
+
+def test_a_retraction_on_request_only_goes_up():
+    control = PushControl.retraction(LIMITS, 0.0, speed=1.0, to_height=0.07)
+    height, t = 0.03, 0.0
+    while not control.finished:
+        velocity = control.step(t, Reading(t, height), None).push_velocity
+        assert -LIMITS.max_speed <= velocity <= 0.0
+        height -= velocity * PERIOD
+        t += PERIOD
+    assert height == pytest.approx(0.07, abs=LIMITS.max_speed * LIMITS.stop_lead + 1e-6)
+    assert control.phase == 'aborted' and control.reason is None
+
+
+wild = st.one_of(
+    st.none(),
+    st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e300, -1e300]),
+    st.floats(-60.0, 60.0),
+)
+readings = st.one_of(
+    st.none(), st.tuples(st.floats(-0.3, 0.3), wild), st.tuples(st.just(0.0), st.floats(0.0, 20.0))
+)
+heights = st.one_of(
+    st.none(), st.tuples(st.floats(-0.3, 0.3), wild), st.tuples(st.just(0.0), st.floats(0.0, 0.12))
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    goal=goals,
+    inputs=st.lists(
+        st.tuples(st.floats(0.0, 0.3), heights, readings, st.floats(0.0, 2.0), st.integers(0, 40)),
+        max_size=60,
+    ),
+)
+def test_whatever_comes_in_the_speed_is_within_limits_and_after_a_fault_it_only_goes_up(
+    goal, inputs
+):
+    limits = replace(LIMITS, frozen_time=0.2, heartbeat_time=1.0)
+    t = 50.0
+    try:
+        control = PushControl(goal, limits, t, START)
+    except InputError:
+        return
+    aborted = False
+    for wait, tool, force, silent, event in inputs:
+        t += wait
+        if event == 0:
+            control.abort('stop', t)
+        height = None if tool is None or tool[1] is None else Reading(t + tool[0], tool[1])
+        load = None if force is None or force[1] is None else Reading(t + force[0], force[1])
+        command = control.step(t, height, load, t - silent)
+        assert abs(command.push_velocity) <= limits.max_speed
+        assert not aborted or command.phase == 'aborted'
+        if command.phase not in ('approach', 'push'):
+            assert command.push_velocity <= 0.0
+        if command.push_velocity > 0.0:
+            assert silent <= limits.heartbeat_time
+            assert height is not None and limits.lowest_height < height.value < 0.102
+            assert t - height.t <= limits.stale_time
+            assert load is not None and abs(load.value) <= limits.max_force
+        aborted = command.phase == 'aborted'
+        if control.finished:
+            assert control.step(t + 1.0, height, load, t + 1.0).push_velocity == 0.0
