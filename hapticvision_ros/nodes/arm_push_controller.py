@@ -57,6 +57,7 @@ from hapticvision_ros.core.push_control import (
     PushReport,
     Reading,
 )
+from hapticvision_ros.nodes.arm_backends import ARM_PARAMETERS, connect
 from hapticvision_ros.nodes.conversions import (
     contact_force,
     ns_from_stamp,
@@ -76,25 +77,13 @@ from hapticvision_ros.nodes.qos import (
     interface_class,
 )
 from hapticvision_ros.nodes.runtime import ManagedCellNode, run, THREAD_JOIN_TIMEOUT
-from hapticvision_ros.sim.devices import connect_arm
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
 NAME: Final = 'arm_push_controller'
 
 PARAMETERS: Final = (
-    ParameterSpec(
-        'backend', 'string', '-', 'Which device to use.', choices=('simulated',), read_only=True
-    ),
-    ParameterSpec(
-        'simulated_world_port',
-        'integer',
-        '-',
-        'UDP port of the simulated world on loopback.',
-        1,
-        65535,
-        read_only=True,
-    ),
+    *ARM_PARAMETERS,
     ParameterSpec('push_speed', 'double', 'm/s', 'Speed of the push.', 1e-6, 1.0),
     ParameterSpec('depth', 'double', 'm', 'How far to push on from the touch.', 1e-6, 0.5),
     ParameterSpec(
@@ -433,7 +422,7 @@ class ArmPushController(ManagedCellNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _connect(self) -> Arm:
-        return connect_arm(self.parameters.integer('simulated_world_port'))
+        return connect(self, self.parameters)
 
     def _disconnect(self) -> None:
         self._disconnecting.set()

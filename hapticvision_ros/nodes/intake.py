@@ -71,6 +71,7 @@ class Intake:
     """
 
     def __init__(self, node: Any, kind: Any, name: str, profile: Any, *, raw: bool) -> None:
+        self._node = node
         self._subscription = node.create_subscription(
             kind, name, _never, profile, callback_group=_Parked(), raw=raw
         )
@@ -87,6 +88,10 @@ class Intake:
             profile.depth = max(profile.depth, SCALAR_DEPTH)
         kind = interface_class(topic.msgtype)
         return cls(node, kind, relative_name(topic.name), profile, raw=raw)
+
+    def close(self) -> None:
+        """Listen no longer; no thread may wait for it any more."""
+        self._node.destroy_subscription(self._subscription)
 
     @property
     def matched(self) -> bool:
