@@ -23,15 +23,25 @@ from hapticvision_ros.core.effects.declaration import (
     EffectParameter,
     Prediction,
 )
+from hapticvision_ros.core.kernels import kernel
+import numpy as np
 
 
 def _observe(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
-    since = 0.5 * (trial.t[1:] + trial.t[:-1]) - trial.zero_time
-    prediction.force += values[0] * since
-    if rows:
-        prediction.d_force[rows[0]] += since
+    row = prediction.d_force[rows[0]] if rows else np.empty(0)
+    _drift(trial.t, trial.zero_time, values[0], prediction.force, row)
+
+
+@kernel()
+def _drift(t, zero_time, rate, force, row):  # type: ignore[no-untyped-def]
+    """Add what has drifted since the zero was taken, and its derivative where one is asked for."""
+    for i in range(force.size):
+        since = 0.5 * (t[i + 1] + t[i]) - zero_time
+        force[i] += rate * since
+        if row.size > 0:
+            row[i] += since
 
 
 EFFECT = Effect(

@@ -483,7 +483,7 @@ def _respond(  # type: ignore[no-untyped-def]
     for j in range(directions):
         bare = bare and dq[j, _KP] == 0.0
     brisk = brisk and not bare
-    quick = directions == 0 and not massive
+    quick = directions == 0
     bare_h = -1.0
     bare_inverse = 0.0
     bare_flow = 0.0
@@ -579,18 +579,19 @@ def _respond(  # type: ignore[no-untyped-def]
                 d_force[j, i] = 0.0
                 d_surface[j, i + 1] = 0.0
             continue
-        if brisk and not virgin and (contact or not massive):
+        if brisk and not virgin and (contact or quick or not massive):
             if contact != brisk_contact or abs(h - brisk_h) > _SAME * h:
                 brisk_h = h
                 brisk_contact = contact
                 h_known = -1.0
-                against = c1 + c2 if contact else c1
+                bound = contact or mass > 0.0
+                against = c1 + c2 if bound else c1
                 e, e_k, e_x = _memory_weight(k1, c1, h, against)
                 kappa = 1.0
                 d_kappa = 0.0
-                if contact and compliant:
+                if bound and compliant:
                     kappa, d_kappa = _end_weight(compliance / (h * fluidity))
-                # Free, nothing holds the force of the chain, and the machine has none.
+                # Free, nothing but a mass holds the force of the chain, and the machine has none.
                 on = 1.0 if contact else 0.0
                 held_kappa = on * kappa
                 flow_give = h * c2_inverse
@@ -608,8 +609,15 @@ def _respond(  # type: ignore[no-untyped-def]
                 z_give = 1.0 + give * k1
                 x_give = 1.0 + give * e
                 total_give = e + half_kp * x_give
-                inverse = 1.0 / (x_give + cm * kappa * total_give if contact else total_give)
                 per_h = 1.0 / h
+                swing = 0.0
+                if massive and not contact:
+                    swing, _ = _end_weight(mass * (c0 + stiff / k1 + h * fluidity) * per_h * per_h)
+                inert = swing * mass * per_h * per_h
+                if contact:
+                    inverse = 1.0 / (x_give + cm * kappa * total_give)
+                else:
+                    inverse = 1.0 / (total_give + inert * x_give)
                 per_against = e_x / against if against > 0.0 else 0.0
                 r = compliance / (h * fluidity)
                 for j in range(directions):
@@ -637,6 +645,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 ahead_z = z_give + ahead_give * k1
                 ahead_u = z_give + ahead_give * e
                 held_waits = waits * (1.0 - kappa)
+                d_start = d[i] + offset
+                pull = 0.0
+                ahead = 0.0
                 while True:
                     fc = k1 * z
                     x_next = y + ahead_z * z + held_waits * chain_force + _fallen(kept_twice, zu)
@@ -647,11 +658,18 @@ def _respond(  # type: ignore[no-untyped-def]
                             g += cm * (machine_force + kappa * (total - machine_force))
                     else:
                         g = total
+                        if massive:
+                            ahead = x + h * speed
+                            g += inert * (x_free - ahead)
                     u = -g * inverse
                     x_end = x_free + x_give * u
                     total += total_give * u
+                    seen = total
                     if contact:
-                        if 1.5 * total - 0.5 * force[i - 1] < -f_ad:
+                        if massive:
+                            pull = (d_end - d_start) * per_h
+                            seen += mass * (pull - speed) * per_h
+                        if 1.5 * seen - 0.5 * force[i - 1] < -f_ad:
                             break
                     elif x_end < d_end:
                         break
@@ -664,7 +682,10 @@ def _respond(  # type: ignore[no-untyped-def]
                     chain_force += kappa * (fc - chain_force)
                     machine_force = on * (machine_force + kappa * (total - machine_force))
                     x = x_end
-                    force[i] = on * total
+                    if massive:
+                        speed = pull if contact else speed + swing * per_h * (x_end - ahead)
+                        d_start = d_end
+                    force[i] = on * seen
                     surface[i + 1] = x_end
                     i += 1
                     if i == steps:

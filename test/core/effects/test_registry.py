@@ -141,6 +141,20 @@ def test_a_strong_effect_is_seen(effect: Effect, scale: Scale, driven: Callable)
     assert seen > 1e-4
 
 
+@every
+def test_the_response_without_derivatives_is_that_with_them(
+    effect: Effect, scale: Scale, driven: Callable
+) -> None:
+    # Without derivatives the steps take another way through the chain, also a mass that swings.
+    trial = driven()
+    model = Model((effect.name,))
+    for factor in (1.0, 0.1):
+        theta = _strong(model, scale, factor)
+        whole, quick = (model.predict(trial, theta, directions=each) for each in (True, False))
+        assert np.abs(quick.force - whole.force).max() <= 1e-9 * whole.force.max()
+        assert np.abs(quick.height - whole.height).max() <= 1e-9 * whole.height.max()
+
+
 def _check_derivatives(
     model: Model, trial: object, theta: np.ndarray, own: np.ndarray, tolerance: float
 ) -> None:
