@@ -16,7 +16,7 @@
 """
 Writes contract bags: rosbag2 directories as Jazzy writes them, or bare ``.mcap`` files.
 
-A live recording is written in place and its chunk is closed at least once a second, so that a
+A live recording is written in place and its chunk is closed twice a second, so that a
 crash costs the last second and never the bag. A bag that is made offline appears under its name
 only when it is whole.
 """
@@ -55,8 +55,11 @@ type Compression = Literal['none', 'lz4', 'zstd']
 
 CHUNK_SIZE: Final = 1024 * 1024
 """Bytes in a chunk before it is closed: clouds are then written one a chunk, without copies."""
-FLUSH_PERIOD_S: Final = 1.0
-"""A recording that dies loses at most what came in this time."""
+FLUSH_PERIOD_S: Final = 0.5
+"""
+A recording that dies loses at most what came in this time, and what was still on its way here: no
+more than the last second.
+"""
 METADATA_FILE: Final = 'metadata.yaml'
 METADATA_VERSION: Final = 9
 ROS_DISTRO: Final = 'jazzy'
@@ -254,7 +257,7 @@ class BagWriter:
         """
         Close the chunk and hand all that was written to the operating system.
 
-        `write_raw` does this once a second by itself; call it when the messages stop.
+        `write_raw` does this twice a second by itself; call it when the messages stop.
         """
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._last_flush = time.monotonic()

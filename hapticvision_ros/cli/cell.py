@@ -45,7 +45,17 @@ NEEDS_WORLD: Final = ('range_sensor_driver', 'load_cell_driver', ARM, ORCHESTRAT
 WORLD_DEADLINE: Final = 30.0
 CLIENT_GRACE: Final = 45.0
 """How long the client may take to cancel: the tool has to retract [s]."""
-GOAL_OPTIONS: Final = ('speeds', 'depths', 'repeats', 'hold_time', 'recover_time', 'rest_time')
+GOAL_OPTIONS: Final = (
+    'speeds',
+    'depths',
+    'repeats',
+    'hold_time',
+    'hold_mode',
+    'recover_time',
+    'rest_time',
+)
+RESTARTS: Final = 5
+"""How often a node of the cell is started again when it has died."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +83,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     goal.add_argument('--depths', nargs='+', type=float, metavar='M', help='push depths [m]')
     goal.add_argument('--repeats', type=int, help='how often the grid is gone through')
     goal.add_argument('--hold-time', type=float, metavar='S', help='time at the depth [s]')
+    goal.add_argument(
+        '--hold-mode',
+        choices=('fixed', 'auto'),
+        help='auto: hold about one relaxation time, estimated meanwhile, at most --hold-time',
+    )
     goal.add_argument('--recover-time', type=float, metavar='S', help='time after release [s]')
     goal.add_argument('--rest-time', type=float, metavar='S', help='pause between trials [s]')
     goal.add_argument('--out', type=Path, metavar='DIR', help='folder for the bags')
@@ -83,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     with Supervisor(ros_environment(args.domain)) as supervisor:
         port = _start_world(supervisor, args)
-        supervisor.start({name: _node(name, port, args.config) for name in NODES})
+        nodes = {name: _node(name, port, args.config) for name in NODES}
+        supervisor.start(nodes, restarts=RESTARTS)
         if not args.run:
             return supervisor.wait()
         goal = _goal(args)
@@ -136,6 +152,7 @@ def _check_goal(args: argparse.Namespace, world: 'WorldConfig') -> None:
                 'push_speed': trial.push_speed,
                 'depth': trial.depth,
                 'hold_time': goal.hold_time,
+                'hold_mode': goal.hold_mode,
                 'recover_time': goal.recover_time,
             },
             surface_height=world.block.height,
@@ -195,5 +212,5 @@ def _goal(args: argparse.Namespace) -> list[str]:
         value = getattr(args, name)
         if value is not None:
             values = value if isinstance(value, list) else [value]
-            options += ['--' + name.replace('_', '-'), *(repr(item) for item in values)]
+            options += ['--' + name.replace('_', '-'), *map(str, values)]
     return options

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Processes that live and end together.
+Processes that live and end together; one that dies may be started again.
 
 Each process is a session of its own, so that Ctrl-C reaches only the supervisor, which then stops
 them in order; and each asks the kernel for SIGTERM at the supervisor's death, so that none is
@@ -37,6 +37,8 @@ from typing import Final, Self
 from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.share import share_folder
 
+STEADY: Final = 4.0
+"""A process that ends within this time is not started again: its start is what fails [s]."""
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -56,6 +58,9 @@ class _Child:
     popen: subprocess.Popen[str]
     prefix: str
     grace: float
+    command: list[str]
+    restarts: int
+    started: float
     lines: 'queue.Queue[str]' = field(default_factory=queue.Queue)
 
 
@@ -167,6 +172,7 @@ class Supervisor:
         *,
         labelled: bool = True,
         grace: float = STOP_GRACE,
+        restarts: int = 0,
     ) -> None:
         """
         Start processes that belong together; they are stopped before those started earlier.
@@ -179,6 +185,8 @@ class Supervisor:
             Whether each line of output is shown with the process's name before it.
         grace : float
             How long they may take to end after SIGTERM [s].
+        restarts : int
+            How often each may end by itself and be started again, by `wait`.
 
         Raises
         ------
@@ -189,24 +197,44 @@ class Supervisor:
         stage: list[_Child] = []
         self._stages.append(stage)
         for name, command in commands.items():
-            try:
-                popen = subprocess.Popen(
-                    list(command),
-                    env=self._environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    encoding='utf-8',
-                    errors='replace',
-                    start_new_session=True,
-                )
-            except OSError as error:
-                raise ProcessError(f'cannot start {name}: {error.strerror}.') from error
-            child = _Child(name, popen, f'[{name}] ' if labelled else '', grace)
+            prefix = f'[{name}] ' if labelled else ''
+            popen = self._open(name, command)
+            now = time.monotonic()
+            child = _Child(name, popen, prefix, grace, list(command), restarts, now)
             stage.append(child)
-            reader = threading.Thread(target=self._read, args=(child,), daemon=True)
-            self._readers.append(reader)
-            reader.start()
+            self._listen(child)
+
+    def _open(self, name: str, command: Sequence[str]) -> subprocess.Popen[str]:
+        try:
+            return subprocess.Popen(
+                list(command),
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                encoding='utf-8',
+                errors='replace',
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise ProcessError(f'cannot start {name}: {error.strerror}.') from error
+
+    def _listen(self, child: _Child) -> None:
+        reader = threading.Thread(target=self._read, args=(child,), daemon=True)
+        self._readers.append(reader)
+        reader.start()
+
+    def _start_again(self, child: _Child) -> bool:
+        """Return whether a process that has ended has been started again."""
+        if not child.restarts or time.monotonic() - child.started < STEADY:
+            return False
+        child.restarts -= 1
+        with self._print_lock:
+            self._pass_on(f'{child.prefix}ended with {_how(child.popen)}; it is started again.')
+        child.popen = self._open(child.name, child.command)
+        child.started = time.monotonic()
+        self._listen(child)
+        return True
 
     def wait_for_line(self, name: str, start: str, timeout: float) -> str:
         """
@@ -238,7 +266,7 @@ class Supervisor:
         Raises
         ------
         ProcessError
-            If another process ends.
+            If another process ends that is not to be started again.
 
         """
         while True:
@@ -248,9 +276,12 @@ class Supervisor:
                 name = self._exits.get(timeout=0.5)
             except queue.Empty:
                 continue
-            popen = self._child(name).popen
+            child = self._child(name)
+            popen = child.popen
             if name == client:
                 return popen.returncode if popen.returncode >= 0 else 128 - popen.returncode
+            if self._start_again(child):
+                continue
             raise ProcessError(f'{name} ended with {_how(popen)}; all others are being stopped.')
 
     def pid(self, name: str) -> int:
@@ -280,14 +311,15 @@ class Supervisor:
 
     def _read(self, child: _Child) -> None:
         """Pass on what a process says, until it ends."""
-        assert child.popen.stdout is not None
-        with child.popen.stdout as stream:
+        popen = child.popen
+        assert popen.stdout is not None
+        with popen.stdout as stream:
             for line in stream:
                 text = line.rstrip('\n')
                 child.lines.put(text)
                 with self._print_lock:
                     self._pass_on(child.prefix + text)
-        child.popen.wait()
+        popen.wait()
         self._exits.put(child.name)
 
 

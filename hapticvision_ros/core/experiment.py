@@ -55,14 +55,19 @@ class Step(Enum):
     """
     What the experiment is doing; the order of a trial is the order of the names.
 
-    `STOP` is gone through only after a cancel or a failure in mid-push, `END` is the last.
+    `CHECK` asks whether the cell allows the goal, before its first trial. `RETRACT` sees to it
+    that no tool was left low, before the first trial and after one that failed. `STOP` is gone
+    through only after a cancel or a failure in mid-push, `END` is the last.
     """
 
+    BRING_UP = auto()
+    CHECK = auto()
+    ENABLE = auto()
+    RETRACT = auto()
     SAMPLE = auto()
     PLAN = auto()
     TARE = auto()
     CONFIGURE = auto()
-    ENABLE = auto()
     RECORD = auto()
     START = auto()
     PUSH = auto()
@@ -164,9 +169,12 @@ class ExperimentGoal:
     repeats : int
         How often each pair is pushed.
     hold_time, recover_time : float
-        How long the tool holds its depth, and how long the object is watched afterwards [s].
+        How long the tool holds its depth (in an auto hold: at most), and how long the object is
+        watched afterwards [s].
     rest_time : float
         Pause between two trials [s], in which a new sample is put in place.
+    hold_mode : {'fixed', 'auto'}
+        Whether a hold ends by itself once it has lasted the relaxation time.
 
     Raises
     ------
@@ -181,6 +189,7 @@ class ExperimentGoal:
     hold_time: float
     recover_time: float
     rest_time: float
+    hold_mode: str = 'fixed'
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'push_speeds', _positive('speeds', self.push_speeds))
@@ -191,6 +200,8 @@ class ExperimentGoal:
         _positive('recover_time', [self.recover_time])
         if not (math.isfinite(self.rest_time) and self.rest_time >= 0.0):
             raise UsageError(f'rest_time is {self.rest_time:g}: give a finite number, 0 or more.')
+        if self.hold_mode not in ('fixed', 'auto'):
+            raise UsageError(f"hold_mode is '{self.hold_mode}': choose fixed or auto.")
 
     def trials(self) -> tuple[PlannedTrial, ...]:
         """
@@ -243,16 +254,20 @@ class Deadlines:
 
 
 _NEXT: Final = {
+    Step.BRING_UP: Step.CHECK,
+    Step.CHECK: Step.ENABLE,
+    Step.ENABLE: Step.RETRACT,
+    Step.RETRACT: Step.SAMPLE,
     Step.SAMPLE: Step.PLAN,
     Step.PLAN: Step.TARE,
     Step.TARE: Step.CONFIGURE,
-    Step.CONFIGURE: Step.ENABLE,
-    Step.ENABLE: Step.RECORD,
+    Step.CONFIGURE: Step.RECORD,
     Step.RECORD: Step.START,
     Step.START: Step.PUSH,
     Step.PUSH: Step.FINISH,
     Step.STOP: Step.FINISH,
 }
+ARM_ABORTED: Final = 'the arm aborted the push'
 _RECORDING: Final = (Step.RECORD, Step.START, Step.PUSH)
 
 
@@ -265,10 +280,11 @@ class Experiment:
     since when it stands.
 
     A push that the arm itself has aborted (a force limit, no contact) is kept, marked, and the
-    next trial goes on, since the cell still works; so is a bag that lacks a stream. When
-    `max_failures` trials in a row went that way the experiment is aborted. A peer that does not
-    answer or falls silent, and a disk that cannot be written, abort the experiment at once: they
-    do not heal by themselves. Whatever was recorded until then is kept.
+    next trial goes on, since the cell still works; so is a bag that lacks a stream, and one of a
+    push in which a peer fell silent: whoever supervises the processes may start it again, and the
+    next trial begins with waiting for it. When `max_failures` trials in a row went that way the
+    experiment is aborted. A peer that does not answer in time before a push, and a disk that
+    cannot be written, abort the experiment at once. Whatever was recorded until then is kept.
 
     Parameters
     ----------
@@ -311,7 +327,7 @@ class Experiment:
         self._index = 0
         self._trial_reason = ''
         self._trial_failed = False
-        self._step = Step.SAMPLE
+        self._step = Step.BRING_UP
         self.entered = now
 
     @property
@@ -329,11 +345,16 @@ class Experiment:
         """Whether the trial at hand is already known to be of no use."""
         return self._trial_failed
 
+    @property
+    def shaken(self) -> bool:
+        """Whether the tool may have been left low: at the begin, and after a failed trial."""
+        return not self.outcomes or self.outcomes[-1].outcome is Outcome.ABORTED
+
     def begin(self, now: float) -> None:
         """Start to execute the accepted goal."""
         if self.status is GoalStatus.ACCEPTED:
             self.status = GoalStatus.EXECUTING
-            self._enter(Step.SAMPLE, now)
+            self._enter(Step.BRING_UP, now)
 
     def time_left(self, now: float) -> float:
         """
@@ -363,7 +384,7 @@ class Experiment:
             self._end(now)
         elif self._step is Step.REST:
             self._index += 1
-            self._enter(Step.SAMPLE, now)
+            self._enter(Step.BRING_UP, now)
         else:
             self._enter(_NEXT[self._step], now)
 
@@ -379,6 +400,9 @@ class Experiment:
             Time [s].
 
         """
+        if self._step is Step.DISABLE and self.shaken and self.outcomes:
+            # What does not answer at the end is what failed before.
+            reason = self.outcomes[-1].reason
         self.reason = self.reason or reason
         if self._step in (*_RECORDING, Step.FINISH):
             self._fail_trial(reason)
@@ -391,13 +415,33 @@ class Experiment:
         else:
             self._enter(Step.DISABLE, now)
 
+    def lost(self, reason: str, now: float) -> None:
+        """
+        Take note that the running push cannot come to anything: its trial is aborted.
+
+        Parameters
+        ----------
+        reason : str
+            One sentence.
+        now : float
+            Time [s].
+
+        """
+        self._fail_trial(reason)
+        self._enter(Step.STOP, now)
+
+    def explain(self, reason: str) -> None:
+        """Take note of why the arm has aborted the push."""
+        if self._trial_reason == ARM_ABORTED:
+            self._trial_reason = f'{ARM_ABORTED}: {reason}'
+
     def phase(self, name: str, now: float) -> None:
         """Take note of the arm's phase; only of use once the push has been started."""
         self.arm_phase = name
         if self._step not in (Step.START, Step.PUSH, Step.STOP):
             return
         if name == 'aborted':
-            self._fail_trial('the arm aborted the push')
+            self._fail_trial(ARM_ABORTED)
         if name in ('done', 'aborted') and self._step in (Step.PUSH, Step.STOP):
             self._enter(Step.FINISH, now)
 
@@ -419,7 +463,14 @@ class Experiment:
         limit = self._deadlines.of(self._step, self.goal, self.trial)
         if waited > limit:
             doing = self.waiting_for or f'the end of "{self._step.name.lower()}"'
-            self.failed(f'{self.trial.name}: waited {limit:.3g} s for {doing}', now)
+            reason = f'{self.trial.name}: waited {limit:.3g} s for {doing}'
+            if self._step is Step.PUSH:
+                self.lost(reason, now)
+            elif self._step is Step.STOP and self._trial_failed:
+                # Who does not answer cannot be stopped; the next trial begins with seeing to it.
+                self._enter(Step.FINISH, now)
+            else:
+                self.failed(reason, now)
 
     def cancel(self, now: float) -> bool:
         """Return whether the goal can still be cancelled, and begin to do so."""
@@ -479,7 +530,7 @@ class Experiment:
 
     def _enter(self, step: Step, now: float) -> None:
         """Go to a step; a new trial forgets the last one's troubles."""
-        if step is Step.SAMPLE:
+        if step is Step.BRING_UP:
             self._trial_failed = False
             self._trial_reason = ''
         if step is Step.START:

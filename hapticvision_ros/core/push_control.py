@@ -29,6 +29,9 @@ from hapticvision_ros.core.hold import HoldEstimator, RelaxationTime
 
 type PushPhase = Literal['approach', 'push', 'hold', 'release', 'recover', 'done', 'aborted']
 
+NO_PUSH: Final = 'No push is running.'
+"""What is answered to a stop when there is nothing to stop."""
+
 TOUCH_READINGS: Final = 2
 """Readings in a row above the touch force that count as touch: one may be a glitch."""
 

@@ -51,6 +51,7 @@ from hapticvision_ros.core.push_control import (
     hold_mode,
     HOLD_MODES,
     MeasuredTime,
+    NO_PUSH,
     PushControl,
     PushGoal,
     PushLimits,
@@ -505,7 +506,7 @@ class ArmPushController(ManagedCellNode):
         self._stop_reason = 'A stop was requested.'
         self._urgent.set()
         response.success = True
-        response.message = 'The tool stops and retracts.' if running else 'No push is running.'
+        response.message = 'The tool stops and retracts.' if running else NO_PUSH
         return response
 
     def _on_start(self, request: Any, response: Any) -> Any:

@@ -226,6 +226,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument('--depths', nargs='+', type=float, metavar='M')
     parser.add_argument('--repeats', type=int)
     parser.add_argument('--hold-time', type=float, metavar='S')
+    parser.add_argument('--hold-mode')
     parser.add_argument('--recover-time', type=float, metavar='S')
     parser.add_argument('--rest-time', type=float, metavar='S')
     parser.add_argument('--output-folder', metavar='DIR')

@@ -21,7 +21,8 @@ node's parameters), ``/experiment/cancel`` ends it, ``/experiment/status`` tells
 something fails is told in `hapticvision_ros.core.experiment.Experiment`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 import threading
 import time
@@ -41,7 +42,9 @@ from hapticvision_ros.bag.contract import (
     PHASE,
     PLAN,
     PUSH,
+    PUSH_REPORT,
     RESET,
+    RETRACT,
     Service,
     START_EXPERIMENT,
     STOP,
@@ -60,19 +63,41 @@ from hapticvision_ros.core.experiment import (
     Outcome,
     Step,
 )
+from hapticvision_ros.core.push_control import (
+    check_goal,
+    hold_mode,
+    HOLD_MODES,
+    NO_PUSH,
+    PushGoal,
+    PushLimits,
+)
 from hapticvision_ros.nodes.conversions import (
     scalar_to_message,
     stamp_from_ns,
     status_to_message,
+    values_from_status,
 )
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
-from hapticvision_ros.nodes.qos import create_client, create_publisher, create_service
-from hapticvision_ros.nodes.recorder import missing_topics, Recording, writable_folder
+from hapticvision_ros.nodes.qos import (
+    create_client,
+    create_publisher,
+    create_service,
+    create_subscription,
+)
+from hapticvision_ros.nodes.recorder import (
+    check_room,
+    missing_topics,
+    Recording,
+    writable_folder,
+)
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.sim.devices import place_new_sample
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
@@ -87,6 +112,13 @@ PARAMETERS: Final = (
     ParameterSpec('depths', 'double_array', 'm', 'Push depths of the grid.', 1e-5, 0.1),
     ParameterSpec('repeats', 'integer', '-', 'How often the grid is gone through.', 1, 1000),
     ParameterSpec('hold_time', 'double', 's', 'How long the tool holds its depth.', 0.1, 36000.0),
+    ParameterSpec(
+        'hold_mode',
+        'string',
+        '-',
+        'Whether to hold for hold_time, or as long as the relaxation time asks for, up to that.',
+        choices=HOLD_MODES,
+    ),
     ParameterSpec(
         'recover_time', 'double', 's', 'How long the object is watched afterwards.', 0.1, 36000.0
     ),
@@ -166,10 +198,36 @@ PARAMETERS: Final = (
         1 << 20,
         1 << 32,
     ),
+    ParameterSpec(
+        'least_room',
+        'integer',
+        'byte',
+        'With less room on the disk no goal is accepted and the running one is aborted.',
+        0,
+        1 << 44,
+    ),
 )
 
 HEARTBEAT_PERIOD: Final = 0.1
 """Time between two heartbeats, on which the arm's controller relies [s]."""
+PATIENCE: Final = 2.0
+"""Time after which a request that is not answered is sent again [s]."""
+PLAN_PATIENCE: Final = 8.0
+"""The same for the planner, which waits for clouds [s]."""
+ROOM_PERIOD: Final = 1.0
+"""Time between two looks at the room on the disk [s]."""
+REPORT_PATIENCE: Final = 0.5
+"""How long the arm's report on an aborted push is waited for [s]."""
+ACTIVE: Final = State.PRIMARY_STATE_ACTIVE
+_BRING_UP: Final = {
+    State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
+    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
+}
+_LIMITS: Final = tuple(item.name for item in fields(PushLimits))
+_GOAL: Final = tuple(
+    item.name for item in fields(PushGoal) if item.name not in ('surface_height', 'hold_mode')
+)
+"""The numbers of the arm's controller that are asked for to check a goal."""
 _CLOSE_TIMEOUT: Final = 3.0
 _STOPPED: Final = 'the orchestrator was stopped'
 _LEVELS: Final = {
@@ -180,11 +238,18 @@ _LEVELS: Final = {
 
 
 class _Call:
-    """One request to a service: waits for the server, sends, and holds the answer."""
+    """
+    One request to a service: waits for the server, sends, and holds the answer.
 
-    def __init__(self, client: Any, request: Any) -> None:
+    A server that was killed still seems to be there for a while: without an answer in
+    `patience` [s] the request is sent again.
+    """
+
+    def __init__(self, client: Any, request: Any, patience: float = PATIENCE) -> None:
         self._client = client
         self._request = request
+        self._patience = patience
+        self._sent = 0.0
         self._future: Any = None
 
     @property
@@ -198,7 +263,13 @@ class _Call:
             if not self._client.service_is_ready():
                 return None
             self._future = self._client.call_async(self._request)
-        return self._future.result() if self._future.done() else None
+            self._sent = time.monotonic()
+        if self._future.done():
+            return self._future.result()
+        if time.monotonic() - self._sent > self._patience:
+            self.drop()
+            self._future = None
+        return None
 
     def drop(self) -> None:
         """Forget a request whose answer is no longer waited for."""
@@ -259,9 +330,16 @@ class ExperimentOrchestrator(CellNode):
         self._intakes = {topic: Intake.of(self, topic, raw=True) for topic in TOPICS}
         self._clients_of = {
             service.name: create_client(self, service)
-            for service in (PLAN, TARE, ENABLE, PUSH, STOP, RESET)
+            for service in (PLAN, TARE, ENABLE, PUSH, STOP, RETRACT, RESET)
         }
         self._configure = self.create_client(SetParameters, f'{ARM_NODE}/set_parameters')
+        self._limits = self.create_client(GetParameters, f'{ARM_NODE}/get_parameters')
+        self._arm_state = self.create_client(GetState, f'{ARM_NODE}/get_state')
+        self._change_arm = self.create_client(ChangeState, f'{ARM_NODE}/change_state')
+        self._changing = False
+        self._room_seen = 0.0
+        self._push_report: Any = None
+        create_subscription(self, PUSH_REPORT, self._on_push_report)
         self._began = time.monotonic()
         self._beaten = 0.0
         self._heartbeat = create_publisher(self, HEARTBEAT)
@@ -270,6 +348,9 @@ class ExperimentOrchestrator(CellNode):
         self._result_publisher = create_publisher(self, EXPERIMENT_RESULT)
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
+        diagnostics = Diagnostics(self)
+        diagnostics.add('experiment', self._find_experiment)
+        diagnostics.add('recording', self._find_recording)
         self._status_publisher.publish(action.GoalStatusArray())
         self.spawn(preload, 'preload')
         # Deadlines count real seconds, also where the other nodes follow a simulated clock.
@@ -320,9 +401,11 @@ class ExperimentOrchestrator(CellNode):
                 hold_time=values.real('hold_time'),
                 recover_time=values.real('recover_time'),
                 rest_time=values.real('rest_time'),
+                hold_mode=values.text('hold_mode'),
             )
             names = [trial.name for trial in goal.trials()]
             self._folder = writable_folder(values.text('output_folder'), names)
+            check_room(self._folder, values.integer('least_room'))
         except HapticVisionError as error:
             response.message = str(error)
             return response
@@ -416,21 +499,32 @@ class ExperimentOrchestrator(CellNode):
         """Begin a step."""
         trial, goal = experiment.trial, experiment.goal
         match experiment.step:
-            case Step.SAMPLE:
+            case Step.BRING_UP:
                 self.get_logger().info(
                     f'{trial.name}: trial {trial.number} of {len(experiment.trials)}'
                 )
+                self._look_at_arm(experiment)
+            case Step.CHECK:
+                if trial.number == 1:
+                    experiment.waiting_for = f'the parameters of {ARM_NODE}'
+                    request = GetParameters.Request(names=[*_LIMITS, *_GOAL])
+                    self._call = _Call(self._limits, request)
+            case Step.RETRACT:
+                if experiment.shaken:
+                    self._ask(RETRACT, Trigger.Request())
+            case Step.SAMPLE:
                 port = self.parameters.integer('simulated_world_port')
                 self._sample = None
                 if port:
                     timeout = self.parameters.real('service_deadline')
                     self._sample = _NewSample(port, timeout, self.stopping)
             case Step.PLAN:
-                self._ask(PLAN, Trigger.Request())
+                self._ask(PLAN, Trigger.Request(), PLAN_PATIENCE)
             case Step.TARE:
                 self._ask(TARE, Trigger.Request())
             case Step.CONFIGURE:
-                values = {
+                values: dict[str, float | str] = {
+                    'hold_mode': goal.hold_mode,
                     'push_speed': trial.push_speed,
                     'depth': trial.depth,
                     'hold_time': goal.hold_time,
@@ -452,6 +546,7 @@ class ExperimentOrchestrator(CellNode):
                         'commanded_push_speed_m_s': repr(trial.push_speed),
                         'commanded_depth_m': repr(trial.depth),
                         'commanded_hold_time_s': repr(goal.hold_time),
+                        'commanded_hold_mode': goal.hold_mode,
                         'commanded_recover_time_s': repr(goal.recover_time),
                     },
                     self.parameters.integer('write_buffer'),
@@ -461,6 +556,7 @@ class ExperimentOrchestrator(CellNode):
                 if fitter.service_is_ready():
                     fitter.call_async(Trigger.Request())
             case Step.START:
+                self._push_report = None
                 self._last_heard = dict.fromkeys((WRENCH.name, TOOL_HEIGHT.name), now)
                 self._ask(PUSH, Trigger.Request())
             case Step.STOP:
@@ -477,7 +573,13 @@ class ExperimentOrchestrator(CellNode):
                         experiment.failed(self._sample.error, now)
                     else:
                         experiment.done(now)
-            case Step.PLAN | Step.TARE | Step.ENABLE:
+            case Step.BRING_UP:
+                self._bring_up(experiment, now)
+            case Step.CHECK:
+                self._check_limits(experiment, now)
+            case Step.RETRACT if not experiment.shaken:
+                experiment.done(now)
+            case Step.PLAN | Step.TARE | Step.ENABLE | Step.RETRACT:
                 self._prepare(experiment, now, experiment.done)
             case Step.CONFIGURE:
                 self._on_configured(experiment, now)
@@ -494,19 +596,88 @@ class ExperimentOrchestrator(CellNode):
                 # An arm that was moving tells by its phase when it has come back.
                 if experiment.arm_phase in (None, 'done', 'aborted'):
                     self._on_answer(experiment, now, experiment.done)
-                elif self._call is not None:
-                    self._call.answer()
+                elif (
+                    self._call is not None
+                    and (answer := self._call.answer()) is not None
+                    and answer.message == NO_PUSH
+                ):
+                    # It has been started anew since, and knows of no push.
+                    experiment.done(now)
             case Step.FINISH:
                 self._finish(experiment, now)
             case Step.DISABLE:
                 self._on_answer(experiment, now, experiment.done)
 
-    def _ask(self, service: Service, request: Any) -> None:
+    def _ask(self, service: Service, request: Any, patience: float = PATIENCE) -> None:
         """Begin a request; `_on_answer` sees to its end."""
         assert self._experiment is not None
         self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
-        self._call = _Call(self._clients_of[service.name], request)
+        self._call = _Call(self._clients_of[service.name], request, patience)
         self._asked = (service, request)
+
+    def _look_at_arm(self, experiment: Experiment) -> None:
+        experiment.waiting_for = f'{ARM_NODE}: see whether it runs'
+        self._changing = False
+        self._call = _Call(self._arm_state, GetState.Request())
+
+    def _bring_up(self, experiment: Experiment, now: float) -> None:
+        """Configure and activate the arm's controller unless it is active."""
+        if self._call is None:
+            if now >= self._ask_again_at:
+                self._look_at_arm(experiment)
+            return
+        answer = self._call.answer()
+        if answer is None:
+            return
+        self._drop_call()
+        if self._changing:
+            if not answer.success:
+                self._ask_again_at = now + self.parameters.real('retry_period')
+                return
+            self._look_at_arm(experiment)
+        elif answer.current_state.id == ACTIVE:
+            experiment.done(now)
+        elif answer.current_state.id in _BRING_UP:
+            request = ChangeState.Request()
+            request.transition.id = _BRING_UP[answer.current_state.id]
+            experiment.waiting_for = f'{ARM_NODE} to become active: see its messages'
+            self._changing = True
+            self._call = _Call(self._change_arm, request)
+
+    def _check_limits(self, experiment: Experiment, now: float) -> None:
+        """Refuse a goal that the cell does not allow, before anything moves."""
+        if self._call is None:
+            experiment.done(now)
+            return
+        answer = self._call.answer()
+        if answer is None:
+            return
+        names = (*_LIMITS, *_GOAL)
+        numbers = {
+            name: value.double_value for name, value in zip(names, answer.values, strict=True)
+        }
+        limits = PushLimits(**{name: numbers[name] for name in _LIMITS})
+        goal = experiment.goal
+        try:
+            for trial in experiment.trials:
+                asked = {
+                    'push_speed': trial.push_speed,
+                    'depth': trial.depth,
+                    'hold_time': goal.hold_time,
+                    'recover_time': goal.recover_time,
+                }
+                push = PushGoal(
+                    **{name: numbers[name] for name in _GOAL} | asked,
+                    hold_mode=hold_mode(goal.hold_mode),
+                )
+                check_goal(push, limits, limits.highest_height)
+        except HapticVisionError as error:
+            experiment.failed(f'{trial.name}: {error}', now)
+            return
+        experiment.done(now)
+
+    def _on_push_report(self, message: Any) -> None:
+        self._push_report = message
 
     def _drop_call(self) -> None:
         if self._call is not None:
@@ -571,13 +742,19 @@ class ExperimentOrchestrator(CellNode):
     def _watch_disk(self, experiment: Experiment, now: float) -> None:
         if self._recording is not None and self._recording.error is not None:
             experiment.failed(self._recording.error, now)
+        elif now - self._room_seen >= ROOM_PERIOD:
+            self._room_seen = now
+            try:
+                check_room(self._folder, self.parameters.integer('least_room'))
+            except HapticVisionError as error:
+                experiment.failed(str(error), now)
 
     def _watch_streams(self, experiment: Experiment, now: float) -> None:
         """Take a driver that has fallen silent for dead."""
         limit = self.parameters.real('stream_deadline')
         for name, heard in self._last_heard.items():
             if name in (WRENCH.name, TOOL_HEIGHT.name) and now - heard > limit:
-                experiment.failed(
+                experiment.lost(
                     f'{experiment.trial.name}: {name} has been silent for {limit:g} s: see '
                     'whether its node runs',
                     now,
@@ -590,13 +767,26 @@ class ExperimentOrchestrator(CellNode):
         if recording is None:
             experiment.recorded(None, (), now)
             return
+        report = self._push_report
+        if (
+            experiment.arm_phase == 'aborted'
+            and report is None
+            and not recording.closed
+            and now - experiment.entered < REPORT_PATIENCE
+        ):
+            return
+        if report is not None:
+            experiment.explain(report.message)
         missing = missing_topics(recording.counts)
         usable = not (missing or experiment.failing or recording.error)
         outcome = Outcome.COMPLETE if usable else Outcome.INCOMPLETE
         if experiment.failing or recording.error:
             outcome = Outcome.ABORTED
         suffix = '' if usable else f'_{outcome.value}'
-        recording.close({'outcome': outcome.value, 'missing': ', '.join(missing)}, suffix)
+        told = {} if report is None else values_from_status(report)
+        if report is not None and experiment.failing:
+            told['reason'] = report.message
+        recording.close({'outcome': outcome.value, 'missing': ', '.join(missing), **told}, suffix)
         if not recording.closed:
             experiment.waiting_for = f'{recording.path} to be closed'
             return
@@ -610,6 +800,36 @@ class ExperimentOrchestrator(CellNode):
         )
 
     # -- what is told ---------------------------------------------------------------------------
+
+    def _find_experiment(self) -> Finding:
+        """Return how the experiment goes."""
+        experiment = self._experiment
+        if experiment is None:
+            return Finding(Level.OK, 'No goal yet.')
+        failed = sum(item.outcome is not Outcome.COMPLETE for item in experiment.outcomes)
+        values: dict[str, object] = {
+            'status': experiment.status.name,
+            'step': experiment.step.name.lower(),
+            'trial': experiment.trial.number,
+            'trials': len(experiment.trials),
+            'trials that failed': failed,
+            'waiting for': experiment.waiting_for,
+        }
+        if experiment.status is GoalStatus.ABORTED:
+            return Finding(Level.ERROR, f'The goal was aborted: {experiment.reason}', values)
+        if failed:
+            return Finding(Level.WARN, f'{failed} trials are of no use.', values)
+        return Finding(Level.OK, 'The goal goes on, or has come to its end.', values)
+
+    def _find_recording(self) -> Finding:
+        """Return how the recording goes."""
+        recording = self._recording
+        if recording is None:
+            return Finding(Level.OK, 'Nothing is being recorded.')
+        values: dict[str, object] = {'bag': recording.path, **recording.counts}
+        if recording.error is not None:
+            return Finding(Level.ERROR, recording.error, values)
+        return Finding(Level.OK, 'A trial is being recorded.', values)
 
     def _report(self, experiment: Experiment, now: float) -> None:
         """Publish status and result on change, and feedback at least once a period."""
@@ -670,14 +890,18 @@ class ExperimentOrchestrator(CellNode):
         )
 
 
-def _set_request(values: dict[str, float]) -> Any:
-    """Return the request that sets doubles of a node."""
+def _set_request(values: Mapping[str, float | str]) -> Any:
+    """Return the request that sets doubles and texts of a node."""
     return SetParameters.Request(
         parameters=[
             Parameter(
                 name=name,
-                value=ParameterValue(
-                    type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)
+                value=(
+                    ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+                    if isinstance(value, str)
+                    else ParameterValue(
+                        type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)
+                    )
                 ),
             )
             for name, value in values.items()

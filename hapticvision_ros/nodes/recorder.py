@@ -20,10 +20,12 @@ The node's thread hands over serialized messages; a thread of the recorder write
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 import os
 from pathlib import Path
 import queue
+import shutil
 import threading
 from typing import Final
 
@@ -37,6 +39,8 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.bag.writer import BagWriter
 from hapticvision_ros.core.errors import HapticVisionError, InputError
 
+FAILED: Final = '_aborted'
+"""Suffix of a bag that could not be written to its end."""
 TRIAL: Final = 'trial'
 """Name of the MCAP metadata record that tells how the trial ended."""
 
@@ -145,11 +149,19 @@ class Recording:
 
     def _guarded(self) -> None:
         try:
-            self._write()
+            suffix = self._write()
         except (HapticVisionError, OSError) as error:
             self._error = self._error or str(error)
+            # What is on the disk stays, under a name that says what it is.
+            suffix = FAILED
+        if suffix and self._opened.is_set():
+            marked = self.path.with_name(self.path.name + suffix)
+            with suppress(OSError):
+                self.path.rename(marked)
+                self.path = marked
 
-    def _write(self) -> None:
+    def _write(self) -> str:
+        """Write until the end, and return the suffix that the bag is to have."""
         with BagWriter(self.path) as writer:
             writer.write_metadata(PROVENANCE, self._provenance)
             self._opened.set()
@@ -161,10 +173,37 @@ class Recording:
                     self._waiting -= len(item.data)
                 writer.write_raw(item.topic, item.data, item.received_ns, item.sent_ns)
             writer.write_metadata(TRIAL, dict(item.outcome))
-        if item.suffix:
-            marked = self.path.with_name(self.path.name + item.suffix)
-            self.path.rename(marked)
-            self.path = marked
+        return item.suffix
+
+
+def check_room(folder: Path, least: int) -> None:
+    """
+    Refuse a disk that is all but full.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the bags go.
+    least : int
+        Bytes that must be free.
+
+    Raises
+    ------
+    InputError
+        If there is less room, or the disk is gone.
+
+    """
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        raise InputError(
+            f'{folder} cannot be read ({error.strerror}): see to the disk.'
+        ) from error
+    if free < least:
+        raise InputError(
+            f'{folder} has only {free / 1e6:.0f} MB of room; {least / 1e6:.0f} MB are asked for: '
+            'make room, or choose another output_folder.'
+        )
 
 
 def writable_folder(path: str, names: Iterable[str]) -> Path:

@@ -90,6 +90,31 @@ def test_a_peer_that_dies_is_named_and_the_others_are_stopped():
     assert not alive(pid)
 
 
+def test_a_peer_that_dies_is_started_again_as_often_as_asked(monkeypatch):
+    monkeypatch.setattr(processes, 'STEADY', 0.0)
+    shown: list[str] = []
+    with (
+        pytest.raises(ProcessError, match='peer ended with signal SIGKILL'),
+        Supervisor(os.environ, shown.append) as supervisor,
+    ):
+        code = 'import os, signal; print("up", flush=True); os.kill(os.getpid(), signal.SIGKILL)'
+        supervisor.start({'peer': python(code)}, restarts=2)
+        supervisor.wait()
+    assert shown.count('[peer] up') == 3
+    assert shown.count('[peer] ended with signal SIGKILL; it is started again.') == 2
+
+
+def test_a_peer_that_cannot_even_start_is_not_started_again():
+    shown: list[str] = []
+    with (
+        pytest.raises(ProcessError, match='peer ended with exit code 2'),
+        Supervisor(os.environ, shown.append) as supervisor,
+    ):
+        supervisor.start({'peer': python('print("up"); raise SystemExit(2)')}, restarts=2)
+        supervisor.wait()
+    assert shown == ['[peer] up']
+
+
 def test_a_process_that_ends_before_it_is_ready_is_told_at_once():
     start = time.monotonic()
     with (

@@ -119,7 +119,7 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
 
     until(lambda: results, 'the result', SLOW)
     values = values_from_status(results[-1])
-    assert values['outcome 1'] == 'aborted: the arm aborted the push'
+    assert values['outcome 1'] == 'aborted: the arm aborted the push: A stop was requested.'
     assert values['bag 1'].endswith('_aborted')
     assert values['outcome 2'] == 'complete'
     assert (values['status'], values['complete']) == ('SUCCEEDED', '1'), values
@@ -173,7 +173,7 @@ def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
     cell, probe, until
 ):
     results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
-    probe.set_parameters('experiment_orchestrator', {'service_deadline': 10.0, 'hold_time': 20.0})
+    probe.set_parameters('experiment_orchestrator', {'service_deadline': 5.0, 'hold_time': 20.0})
     until(
         lambda: (
             probe.call(START_EXPERIMENT, Trigger.Request(), START).success

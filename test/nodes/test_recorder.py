@@ -14,13 +14,20 @@
 
 """The recorder of trials: the bag, its mark, and what happens when the disk fails."""
 
+import errno
 import time
 
 from hapticvision_ros.bag.cdr import encode_float64, encode_wrench
 from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, TOOL_HEIGHT, WRENCH
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.bag.writer import BagWriter
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.nodes.recorder import missing_topics, Recording, writable_folder
+from hapticvision_ros.nodes.recorder import (
+    check_room,
+    missing_topics,
+    Recording,
+    writable_folder,
+)
 import pytest
 
 ROOM = 1 << 20
@@ -97,3 +104,32 @@ def test_a_folder_that_holds_one_of_the_bags_is_refused(tmp_path):
 def test_an_empty_output_folder_is_refused():
     with pytest.raises(InputError, match='output_folder is empty'):
         writable_folder('', [])
+
+
+def test_a_bag_that_meets_a_full_disk_is_marked_and_what_it_holds_reads_back(
+    tmp_path, monkeypatch
+):
+    flush = BagWriter.flush
+
+    def fails(self):
+        flush(self)
+        if self.message_count >= 30:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr('hapticvision_ros.bag.writer.FLUSH_PERIOD_S', 0.0)
+    monkeypatch.setattr(BagWriter, 'flush', fails)
+    recording = Recording(tmp_path / 'trial', {}, ROOM)
+    for _ in range(2):
+        fill(recording)
+    recording.join(10.0)
+    assert 'No space left' in recording.error
+    assert recording.path == tmp_path / 'trial_aborted'
+    assert len(read_trial(recording.path).force) >= 10
+
+
+def test_a_disk_without_room_is_refused(tmp_path):
+    check_room(tmp_path, 0)
+    with pytest.raises(InputError, match='MB of room'):
+        check_room(tmp_path, 1 << 60)
+    with pytest.raises(InputError, match='cannot be read'):
+        check_room(tmp_path / 'nowhere', 0)
