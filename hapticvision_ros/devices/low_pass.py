@@ -29,9 +29,9 @@ class LowPass:
     A Hann-weighted mean over as many readings before as after the one it stands for.
 
     Being symmetric, it delays all frequencies alike, and the result carries the stamp of the
-    reading in the middle: it is known later, but not shifted in time. The response is 0.5 (-6 dB)
-    near 0.5 / delay and -3 dB near 0.36 / delay. After a break the first results come from fewer
-    readings.
+    reading in the middle: it is known later, but not shifted in time. With the interval between
+    two readings, its -3 dB lie at 0.36 / (delay + interval). After a break the first results come
+    from fewer readings.
 
     Parameters
     ----------

@@ -92,6 +92,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=_DEPTH)
         )
+        self._hurry = node.create_guard_condition(self.publish)
         self._timer = node.create_timer(
             period, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -99,6 +100,10 @@ class Diagnostics:
     def add(self, name: str, check: Check) -> None:
         """Have `check` asked before each message; `name` tells it from the node's others."""
         self._checks.append((name, check))
+
+    def hasten(self) -> None:
+        """Have all findings sent soon, because one has changed; from any thread."""
+        self._hurry.trigger()
 
     def publish(self) -> None:
         """Send all findings now; for the executor's thread."""

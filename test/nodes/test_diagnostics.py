@@ -84,3 +84,18 @@ def test_the_worst_finding_counts_and_all_that_is_wrong_is_said():
     assert together.values == {'rate_hz': 1000.0, 'saturated': 2, 'lost': 4}
     assert worst([good], 'All is well.').message == 'All is well.'
     assert worst([], 'All is well.').level is Level.OK
+
+
+def test_a_change_is_sent_at_once(node, probe, until):
+    heard = []
+    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, heard.append, 10)
+    diagnostics = Diagnostics(node, period=3600.0)
+    diagnostics.add('part', lambda: Finding(Level.ERROR, 'It has gone.'))
+
+    def sent():
+        diagnostics.hasten()
+        rclpy.spin_once(node, timeout_sec=0.05)
+        return heard
+
+    until(sent, 'a message')
+    assert heard[0].status[0].message == 'It has gone.'

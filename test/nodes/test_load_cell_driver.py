@@ -17,11 +17,18 @@
 import math
 import signal
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hapticvision_ros.bag.contract import TARE, WRENCH
-from hapticvision_ros.nodes.conversions import contact_force, ns_from_stamp
+from hapticvision_ros.nodes.conversions import contact_force, ns_from_stamp, values_from_status
+from hapticvision_ros.nodes.diagnostics import DIAGNOSTICS
+from hapticvision_ros.sim.emulators.net_ft import NetFtEmulator
+from hapticvision_ros.sim.emulators.serial_cell import Firmware, SerialCellEmulator
+from hapticvision_ros.sim.emulators.sources import constant
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
+
+LOAD = (1.25, -0.5, -12.75, 0.01, 0.02, -0.03)
 
 
 @pytest.fixture
@@ -75,11 +82,31 @@ def test_without_a_load_cell_the_driver_ends_with_one_sentence(start_node):
 
 def test_a_load_cell_that_falls_silent_ends_the_driver(start_world, start_node, probe, until):
     world = start_world('--object', 'spring1')
-    node = start_node('load_cell_driver', {'simulated_world_port': world.port})
+    parameters = {'simulated_world_port': world.port, 'reopen_time': 0.0}
+    node = start_node('load_cell_driver', parameters)
     heard = probe.listen(WRENCH)
     until(lambda: heard, 'a reading')
     world.stop()
     assert node.wait() == 2
+    assert node.output.startswith('error: the simulated world on UDP port')
+    assert len(node.output.splitlines()) == 1
+
+
+def test_a_load_cell_that_does_not_come_back_ends_the_driver(start_node, probe, until, tmp_path):
+    with SerialCellEmulator(tmp_path / 'tty', constant(LOAD)) as device:
+        parameters = {
+            'backend': 'serial',
+            'serial_port': tmp_path / 'tty',
+            'rate': 80.0,
+            'reopen_time': 0.3,
+            'reopen_interval': 0.1,
+        }
+        node = start_node('load_cell_driver', parameters)
+        heard = probe.listen(WRENCH)
+        until(lambda: heard, 'a reading')
+        device.unplug()
+        assert node.wait() == 2
+    assert 'it is tried again for 0.3 s' in node.output
     assert 'Traceback' not in node.output
 
 
@@ -97,6 +124,9 @@ def test_the_driver_stops_cleanly(driver, probe, until, number):
         ({'capacity': 0.0}, 'must lie between'),
         ({'capacity': 200}, 'not of type double'),
         ({'backend': 'imaginary'}, 'choose from simulated'),
+        ({'backend': 'net_ft'}, 'net_ft_address is empty'),
+        ({'backend': 'serial'}, 'serial_port is empty'),
+        ({'mounting_rpy': '[0.0]'}, 'give three angles'),
         ({'capacitty': 200.0}, "unknown parameter 'capacitty'"),
     ],
 )
@@ -114,3 +144,136 @@ def test_the_topic_follows_the_namespace(start_world, start_node, probe, until):
         lambda: '/cell_2/load_cell/wrench' in dict(probe.node.get_topic_names_and_types()),
         'the topic in the namespace',
     )
+
+
+class Status:
+    """What a driver has told of itself."""
+
+    def __init__(self, probe, until):
+        self._heard = []
+        self._until = until
+        probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._heard.append, 10)
+
+    def wait(self, name, condition, what):
+        """Return the first new status of that name for which a condition holds."""
+        seen = len(self._heard)
+
+        def found():
+            for array in self._heard[seen:]:
+                for status in array.status:
+                    if status.name == f'load_cell_driver: {name}' and condition(status):
+                        return status
+            return None
+
+        return self._until(found, what)
+
+
+@pytest.fixture
+def status(probe, until):
+    return Status(probe, until)
+
+
+def test_a_net_ft_box_from_the_first_record_to_its_restart(start_node, probe, until, status):
+    with NetFtEmulator(constant(LOAD)) as box:
+        start_node(
+            'load_cell_driver',
+            {
+                'backend': 'net_ft',
+                'net_ft_address': '127.0.0.1',
+                'net_ft_port': box.port,
+                'net_ft_http_port': box.http_port,
+                'rate': 500.0,
+                'read_timeout': 0.3,
+                'reopen_interval': 0.1,
+                # Turned by half a turn about x: y and z change their signs.
+                'mounting_rpy': '[3.141592653589793, 0.0, 0.0]',
+            },
+        )
+        heard = probe.listen(WRENCH)
+        until(lambda: len(heard) >= 50, 'readings')
+        force = heard[-1].wrench.force
+        assert (force.x, force.y, force.z) == pytest.approx((1.25, 0.5, 12.75), abs=1e-6)
+
+        answer = probe.call(TARE, Trigger.Request())
+        assert answer.success, answer.message
+        until(lambda: abs(contact_force(heard[-1])) < 1e-6, 'readings less the zero')
+        tare = values_from_status(
+            status.wait('tare', lambda s: 'was taken' in s.message, 'the tare told')
+        )
+        assert float(tare['force_z_N']) == pytest.approx(12.75, abs=1e-4)
+        good = status.wait('readings', lambda s: s.level == DiagnosticStatus.OK, 'a good state')
+        # The emulator shares a processor with the rest of the test.
+        assert float(values_from_status(good)['rate_hz']) == pytest.approx(500.0, rel=0.1)
+
+        box.faults.loss = 0.1
+        status.wait(
+            'device', lambda s: int(values_from_status(s)['lost']) > 10, 'lost records counted'
+        )
+        box.faults.loss = 0.0
+
+        box.faults.status = 0x80020000
+        until(lambda: math.isnan(contact_force(heard[-1])), 'readings that are not numbers')
+        bad = status.wait('readings', lambda s: s.level == DiagnosticStatus.ERROR, 'saturation')
+        assert 'saturated' in bad.message
+        # There is no zero to be taken of this.
+        assert not probe.call(TARE, Trigger.Request()).success
+        box.faults.status = 0
+        until(lambda: math.isfinite(contact_force(heard[-1])), 'numbers again')
+
+        box.restart()
+        gone = status.wait('device', lambda s: s.level == DiagnosticStatus.ERROR, 'the loss')
+        assert 'has sent no record' in gone.message
+        back = status.wait('device', lambda s: s.level == DiagnosticStatus.OK, 'the return')
+        assert values_from_status(back)['opened_again'] == '1'
+        seen = len(heard)
+        until(lambda: len(heard) > seen, 'readings after the restart')
+        # The zero is kept.
+        assert abs(contact_force(heard[-1])) < 1e-6
+
+
+def test_a_serial_load_cell_that_is_unplugged_and_plugged_in(
+    start_node, probe, until, status, tmp_path
+):
+    firmware = Firmware(rate=200.0, template='{counter},{raw}', checksum=True)
+    with SerialCellEmulator(tmp_path / 'tty', constant(LOAD), firmware) as device:
+        start_node(
+            'load_cell_driver',
+            {
+                'backend': 'serial',
+                'serial_port': tmp_path / 'tty',
+                'serial_newton_per_unit': -1 / 20000.0,
+                'serial_zero': 100000.0,
+                'serial_counter_field': 0,
+                'serial_force_field': 1,
+                'serial_checksum': True,
+                'rate': 200.0,
+                'read_timeout': 0.3,
+                'reopen_interval': 0.1,
+                'latency': 0.05,
+                'filter_delay': 0.02,
+            },
+        )
+        heard = probe.listen(WRENCH)
+        until(lambda: len(heard) >= 50, 'readings')
+        assert contact_force(heard[-1]) == pytest.approx(12.75, abs=1e-4)
+        told = status.wait('readings', lambda s: True, 'a state')
+        assert float(values_from_status(told)['filter_delay_s']) == pytest.approx(0.02)
+
+        device.unplug()
+        status.wait('device', lambda s: s.level == DiagnosticStatus.ERROR, 'the loss')
+        device.plug_in()
+        status.wait('device', lambda s: s.level == DiagnosticStatus.OK, 'the return')
+        seen = len(heard)
+        until(lambda: len(heard) > seen, 'readings after the return')
+
+
+def test_a_load_that_moves_is_no_zero(driver, probe, until):
+    heard = probe.listen(WRENCH)
+    until(lambda: len(heard) >= 100, 'readings')
+    # The simulated noise is 0.02 N.
+    assert all(
+        r.successful for r in probe.set_parameters('load_cell_driver', {'tare_spread': 1e-3})
+    )
+    answer = probe.call(TARE, Trigger.Request())
+    assert not answer.success
+    assert 'wait until nothing moves' in answer.message
