@@ -38,7 +38,7 @@ from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.share import share_folder
 
 STEADY: Final = 4.0
-"""A process that ends within this time is not started again: its start is what fails [s]."""
+"""A process that has never run for so long is not started again: its start is what fails [s]."""
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -61,6 +61,7 @@ class _Child:
     command: list[str]
     restarts: int
     started: float
+    proven: bool = False
     lines: 'queue.Queue[str]' = field(default_factory=queue.Queue)
 
 
@@ -226,7 +227,9 @@ class Supervisor:
 
     def _start_again(self, child: _Child) -> bool:
         """Return whether a process that has ended has been started again."""
-        if not child.restarts or time.monotonic() - child.started < STEADY:
+        killed = child.popen.wait() < 0
+        child.proven |= killed or time.monotonic() - child.started >= STEADY
+        if not (child.restarts and child.proven):
             return False
         child.restarts -= 1
         with self._print_lock:

@@ -56,8 +56,9 @@ class Step(Enum):
     What the experiment is doing; the order of a trial is the order of the names.
 
     `CHECK` asks whether the cell allows the goal, before its first trial. `RETRACT` sees to it
-    that no tool was left low, before the first trial and after one that failed. `STOP` is gone
-    through only after a cancel or a failure in mid-push, `END` is the last.
+    that no tool was left low, before the first trial and after one that failed, also when that
+    was the last. `STOP` is gone through only after a cancel or a failure in mid-push, `END` is
+    the last.
     """
 
     BRING_UP = auto()
@@ -327,6 +328,7 @@ class Experiment:
         self._index = 0
         self._trial_reason = ''
         self._trial_failed = False
+        self._leaving = False
         self._step = Step.BRING_UP
         self.entered = now
 
@@ -371,7 +373,7 @@ class Experiment:
 
         following = self._index + 1
         left = sum(goal.rest_time + pushing(trial) for trial in self.trials[following:])
-        if self._step in (Step.STOP, Step.FINISH, Step.DISABLE, Step.END):
+        if self._leaving or self._step in (Step.STOP, Step.FINISH, Step.DISABLE, Step.END):
             return left
         if self._step is Step.REST:
             return max(0.0, left - (now - self.entered))
@@ -382,6 +384,8 @@ class Experiment:
         """Take note that the present step (but `PUSH` and `FINISH`) has been carried out."""
         if self._step is Step.DISABLE:
             self._end(now)
+        elif self._step is Step.RETRACT and self._leaving:
+            self._enter(Step.DISABLE, now)
         elif self._step is Step.REST:
             self._index += 1
             self._enter(Step.BRING_UP, now)
@@ -400,7 +404,7 @@ class Experiment:
             Time [s].
 
         """
-        if self._step is Step.DISABLE and self.shaken and self.outcomes:
+        if (self._step is Step.DISABLE or self._leaving) and self.shaken and self.outcomes:
             # What does not answer at the end is what failed before.
             reason = self.outcomes[-1].reason
         self.reason = self.reason or reason
@@ -410,7 +414,7 @@ class Experiment:
             self._enter(Step.STOP, now)
         elif self._step is Step.STOP:
             self._enter(Step.FINISH, now)
-        elif self._step is Step.DISABLE:
+        elif self._step is Step.DISABLE or self._leaving:
             self._end(now)
         else:
             self._enter(Step.DISABLE, now)
@@ -480,7 +484,7 @@ class Experiment:
         if self._step in _RECORDING:
             self._fail_trial('the experiment was cancelled')
             self._enter(Step.STOP, now)
-        elif self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
+        elif not self._leaving and self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
             self._enter(Step.DISABLE, now)
         return True
 
@@ -518,7 +522,9 @@ class Experiment:
                 )
         over = self._index + 1 == len(self.trials)
         if over or self.reason or self.status is GoalStatus.CANCELING:
-            self._enter(Step.DISABLE, now)
+            # An arm that did not say that it has come back may have left its tool low.
+            self._leaving = self.arm_phase not in (None, 'done', 'aborted')
+            self._enter(Step.BRING_UP if self._leaving else Step.DISABLE, now)
         else:
             self._enter(Step.REST, now)
 

@@ -500,12 +500,9 @@ class ExperimentOrchestrator(CellNode):
         trial, goal = experiment.trial, experiment.goal
         match experiment.step:
             case Step.BRING_UP:
-                self.get_logger().info(
-                    f'{trial.name}: trial {trial.number} of {len(experiment.trials)}'
-                )
                 self._look_at_arm(experiment)
             case Step.CHECK:
-                if trial.number == 1:
+                if not experiment.outcomes:
                     experiment.waiting_for = f'the parameters of {ARM_NODE}'
                     request = GetParameters.Request(names=[*_LIMITS, *_GOAL])
                     self._call = _Call(self._limits, request)
@@ -513,6 +510,9 @@ class ExperimentOrchestrator(CellNode):
                 if experiment.shaken:
                     self._ask(RETRACT, Trigger.Request())
             case Step.SAMPLE:
+                self.get_logger().info(
+                    f'{trial.name}: trial {trial.number} of {len(experiment.trials)}'
+                )
                 port = self.parameters.integer('simulated_world_port')
                 self._sample = None
                 if port:

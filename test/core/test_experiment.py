@@ -204,7 +204,7 @@ def test_an_arm_that_dies_in_mid_push_costs_its_trial_and_the_bag_is_kept():
     assert experiment.outcomes[0].bag == '/bags/a'
     assert 'push' in experiment.outcomes[0].reason
     experiment.tick(limit + 7.0)
-    # Whoever supervises the processes may have started it again; its tool was left low.
+    # Whoever supervises the processes may start it again; its tool was left low.
     assert experiment.step is Step.BRING_UP
     assert experiment.shaken
     experiment.tick(limit + 13.0)
@@ -212,6 +212,34 @@ def test_an_arm_that_dies_in_mid_push_costs_its_trial_and_the_bag_is_kept():
     experiment.done(limit + 14.0)
     assert experiment.status is GoalStatus.ABORTED
     assert 'bring_up' in experiment.reason
+
+
+def test_a_tool_left_low_by_the_last_trial_is_retracted():
+    experiment = begun(push_speeds=(0.001,), depths=(0.005,))
+    advance(experiment, Step.PUSH)
+    experiment.phase('hold', 0.5)
+    experiment.lost('/arm/tool_height has been silent', 1.0)
+    experiment.done(2.0)
+    experiment.recorded('/bags/a', (), 2.0)
+    advance(experiment, Step.RETRACT, 3.0)
+    assert experiment.time_left(3.0) == 0.0
+    experiment.done(4.0)
+    assert experiment.step is Step.DISABLE
+    experiment.done(4.0)
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.reason == 'no trial is complete: /arm/tool_height has been silent'
+
+
+def test_an_arm_that_does_not_come_back_is_not_waited_for_twice():
+    experiment = begun(push_speeds=(0.001,), depths=(0.005,))
+    advance(experiment, Step.PUSH)
+    experiment.phase('hold', 0.5)
+    experiment.lost('/arm/tool_height has been silent', 1.0)
+    experiment.tick(7.0)
+    experiment.recorded('/bags/a', (), 7.0)
+    experiment.tick(13.0)
+    assert experiment.step is Step.END
+    assert experiment.reason == '/arm/tool_height has been silent'
 
 
 def test_a_stream_that_falls_silent_costs_one_trial_only():
