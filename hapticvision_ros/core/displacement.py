@@ -25,13 +25,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.planning import (
-    finite_points,
-    fit_support_plane,
-    LARGEST_OFFSET,
-    plan_contact,
-)
+from hapticvision_ros.core.planning import plan_contact
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
+from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane, LARGEST_OFFSET
 import numpy as np
 
 LARGEST_TILT: Final = np.deg2rad(2.0)

@@ -13,132 +13,54 @@
 # limitations under the License.
 
 """
-Where to push: the support plane, the object on it, and the contact point, from one cloud.
+Where and how to push, and from where to watch it: the paper's "touch and see".
 
 The paper takes the vertical through the mass centre of the object's top view, G_top; where it
 meets the surface is the contact point P_c, and the tool pushes against the support plane's
-normal.
+normal. One cloud is enough for that (`plan_contact`). Clouds and pictures of several viewpoints
+also tell what the object is, whether the push leaves it where it stands, and from where its dent
+will be seen (`touch_and_see`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
+from hapticvision_ros.core.scene.body import Body, BoolArray, border_seen, make_body
+from hapticvision_ros.core.scene.outline import DEFAULT_OUTLINE, OutlineSettings, refine_outline
+from hapticvision_ros.core.scene.plane import fit_support_plane, SupportPlane
+from hapticvision_ros.core.scene.registration import (
+    DEFAULT_MERGE,
+    Merge,
+    merge_views,
+    MergeSettings,
+)
+from hapticvision_ros.core.scene.settings import DEFAULT_PLANNING, PlanningSettings
+from hapticvision_ros.core.scene.stability import (
+    check_push,
+    DEFAULT_PUSH,
+    find_base,
+    PushSettings,
+    refuse_unstable,
+    Stability,
+)
+from hapticvision_ros.core.scene.surface import make_surface, Surface
+from hapticvision_ros.core.scene.symmetry import find_symmetry, Symmetry
+from hapticvision_ros.core.scene.top_view import find_objects, refuse_several, TopView
+from hapticvision_ros.core.scene.viewpoint import (
+    choose_viewpoint,
+    DEFAULT_VIEW,
+    Viewpoint,
+    ViewSettings,
+)
+from hapticvision_ros.core.scene.views import Picture, Pose, View
 import numpy as np
-from numpy.typing import NDArray
 
-type BoolArray = NDArray[np.bool_]
-
-VERTICAL: Final = (0.0, 0.0, 1.0)
-
-LARGEST_OFFSET: Final = 0.005
-"""Points this near to a plane [m] may be of it, also while its tilt is not known yet."""
-
-_LARGEST_SHARE_BELOW: Final = 0.02
-_PLANE_SAMPLE: Final = 4000
-_PLANE_HYPOTHESES: Final = 256
-_REFINEMENTS: Final = 3
-
-
-@dataclass(frozen=True, slots=True)
-class SupportPlane:
-    """
-    The plane that the object lies on: ``normal . p = offset``, the object on the normal's side.
-
-    Parameters
-    ----------
-    normal : tuple of float
-        Unit normal.
-    offset : float
-        Distance of the plane from the origin along the normal [m].
-    share : float
-        Share of the points that lie in the plane.
-    noise : float
-        Root mean square distance of those points from it [m].
-
-    """
-
-    normal: tuple[float, float, float]
-    offset: float
-    share: float
-    noise: float
-
-    @property
-    def tilt(self) -> float:
-        """Angle between the normal and +z [rad]."""
-        x, y, z = self.normal
-        return float(np.arctan2(np.hypot(x, y), z))
-
-    def to_plane_frame(self) -> tuple[FloatArray, FloatArray]:
-        """
-        Return rotation and shift that bring points into the plane's own frame.
-
-        Returns
-        -------
-        rotation : ndarray, shape (3, 3)
-        shift : ndarray, shape (3,)
-            ``p @ rotation.T + shift`` has z along the normal and z = 0 in the plane; the
-            rotation is the smallest one that does it.
-
-        """
-        normal = np.array(self.normal)
-        axis = np.cross(normal, VERTICAL)
-        cosine = float(normal[2])
-        if cosine < -1.0 + 1e-9:
-            rotation = np.diag((1.0, -1.0, -1.0))
-        else:
-            skew = np.array(
-                [
-                    [0.0, -axis[2], axis[1]],
-                    [axis[2], 0.0, -axis[0]],
-                    [-axis[1], axis[0], 0.0],
-                ]
-            )
-            rotation = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
-        return rotation, np.array([0.0, 0.0, -self.offset])
-
-
-@dataclass(frozen=True, slots=True)
-class PlanningSettings:
-    """
-    What counts as plane, object and contact point.
-
-    Parameters
-    ----------
-    plane_tolerance : float
-        Half thickness of the plane [m]: a few times the sensor's noise.
-    least_plane_share : float
-        Smallest share of the points that must lie in the plane.
-    object_clearance : float
-        Points higher than this above the plane belong to an object [m].
-    cell_size : float
-        Side of a cell of the top-view grid [m].
-    closing_cells : int
-        Gaps of up to this many cells in the top view are closed (dropouts, a tool's shadow).
-    least_area : float
-        Smallest top-view area of an object [m^2]; smaller patches are taken for noise.
-    patch_radius : float
-        The surface's height is the median within this distance of the vertical [m].
-    least_patch_points : int
-        Fewest points in that patch.
-    seed : int
-        Seed of the random choice of points for the plane.
-
-    """
-
-    plane_tolerance: float = 0.002
-    least_plane_share: float = 0.1
-    object_clearance: float = 0.004
-    cell_size: float = 0.002
-    closing_cells: int = 3
-    least_area: float = 4e-4
-    patch_radius: float = 0.005
-    least_patch_points: int = 12
-    seed: int = 0
-
-
-DEFAULT_PLANNING: Final = PlanningSettings()
+_CUT_OFF: Final = (
+    "The object reaches the border of the range sensor's image: move it to the middle."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,98 +88,6 @@ class ContactPlan:
     object_area: float
     object_height: float
     plane: SupportPlane
-
-
-def finite_points(xyz: PointArray) -> PointArray:
-    """Return the returns of a cloud, shape (n, 3): the points without NaN and Inf (REP-117)."""
-    flat = xyz.reshape(-1, 3)
-    return flat[np.isfinite(flat).all(axis=1)]
-
-
-def fit_support_plane(
-    points: PointArray, settings: PlanningSettings = DEFAULT_PLANNING
-) -> SupportPlane:
-    """
-    Find the plane that holds most points, and the side on which the object lies.
-
-    Random triples of a subsample propose planes, the one with most points near it is refined by
-    least squares. Nothing is seen through the support: a plane with points below it is none. Up
-    is +z if the plane z = 0 is such a plane (the contract's frame `support_plane`), else it is
-    where the origin lies, the range sensor's place in its own frame.
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (n, 3)
-        Finite points [m].
-    settings : PlanningSettings
-        Tolerance, least share and seed.
-
-    Returns
-    -------
-    SupportPlane
-        The plane.
-
-    Raises
-    ------
-    InputError
-        If there are too few points, or no plane holds the least share of them.
-
-    References
-    ----------
-    Fischler & Bolles (1981), doi:10.1145/358669.358692.
-
-    """
-    if len(points) < 100:
-        raise InputError(
-            f'The cloud has only {len(points)} returns: check that the range sensor sees the '
-            'support plane.'
-        )
-    random = np.random.default_rng(settings.seed)
-    sample = points[random.integers(len(points), size=_PLANE_SAMPLE)].astype(np.float64)
-    levelled = _is_levelled(sample, settings)
-    proposers = sample[np.abs(sample[:, 2]) < LARGEST_OFFSET] if levelled else sample
-    a, b, c = proposers[random.integers(len(proposers), size=(3, _PLANE_HYPOTHESES))]
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    # Three points that are (nearly) in line propose no plane.
-    proper = lengths > 1e-3 * np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
-    normals = normals[proper] / lengths[proper, None]
-    offsets = np.einsum('ij,ij->i', normals, a[proper])
-    up = np.sign(normals[:, 2] if levelled else -offsets)
-    normals, offsets = normals * up[:, None], offsets * up
-    heights = sample @ normals.T - offsets
-    inside = np.abs(heights) < settings.plane_tolerance
-    below = np.mean(heights < -LARGEST_OFFSET, axis=0)
-    votes = np.where(below < _LARGEST_SHARE_BELOW, np.mean(inside, axis=0), 0.0)
-    share = float(votes.max(initial=0.0))
-    if share >= settings.least_plane_share:
-        best = int(np.argmax(votes))
-        normal, offset = normals[best], float(offsets[best])
-        for _ in range(_REFINEMENTS):
-            inlier = np.abs(sample @ normal - offset) < settings.plane_tolerance
-            centre = sample[inlier].mean(axis=0)
-            refined = np.linalg.svd(sample[inlier] - centre, full_matrices=False)[2][2]
-            normal = refined * np.sign(refined @ normal)
-            offset = float(normal @ centre)
-        height = sample @ normal - offset
-        inlier = np.abs(height) < settings.plane_tolerance
-        share = float(inlier.mean())
-    if share < settings.least_plane_share:
-        raise InputError(
-            f'No support plane in the cloud: the best plane holds {share:.0%} of the points, '
-            f'{settings.least_plane_share:.0%} are needed.'
-        )
-    noise = float(np.sqrt(np.mean(height[inlier] ** 2)))
-    x, y, z = (float(item) for item in normal)
-    return SupportPlane((x, y, z), offset, share, noise)
-
-
-def _is_levelled(points: FloatArray, settings: PlanningSettings) -> bool:
-    """Return whether the plane z = 0 supports the scene, as in the contract's frame."""
-    z = points[:, 2]
-    on_plane = float(np.mean(np.abs(z) < LARGEST_OFFSET))
-    below = float(np.mean(z < -LARGEST_OFFSET))
-    return on_plane >= settings.least_plane_share and below < _LARGEST_SHARE_BELOW
 
 
 def plan_contact(
@@ -298,8 +128,6 @@ def plan_contact(
     Paper, section on the contact point: G_top and P_c.
 
     """
-    import cv2
-
     returns = np.isfinite(xyz).all(axis=-1)
     points = xyz[returns]
     plane = fit_support_plane(points, settings)
@@ -309,59 +137,23 @@ def plan_contact(
     if ceiling is not None:
         on_object &= levelled[:, 2] < ceiling - settings.plane_tolerance
     objects = levelled[on_object]
-    nothing = (
-        f'Nothing larger than {settings.least_area * 1e4:.3g} cm^2 stands out of the support '
-        'plane: put an object under the tool.'
-    )
-    if not len(objects):
-        raise InputError(nothing)
-
-    # Half a cell more, so that the rounding is alike at both ends and the centre unbiased.
-    low = objects[:, :2].min(axis=0) - settings.cell_size * (settings.closing_cells + 0.5)
-    cells = ((objects[:, :2] - low) / settings.cell_size).astype(np.intp)
-    columns, rows = cells.max(axis=0) + 1 + settings.closing_cells
-    if columns * rows > 25_000_000:
-        raise InputError(
-            'The points above the support plane spread over '
-            f'{columns * settings.cell_size:.3g} m x {rows * settings.cell_size:.3g} m: '
-            'limit the range sensor to the cell.'
-        )
-    grid = np.zeros((rows, columns), dtype=np.uint8)
-    grid[cells[:, 1], cells[:, 0]] = 1
-    kernel = np.ones((settings.closing_cells, settings.closing_cells), dtype=np.uint8)
-    closed = cv2.morphologyEx(grid, cv2.MORPH_CLOSE, kernel)
-    _, labels, statistics, centroids = cv2.connectedComponentsWithStats(closed)
-    areas = statistics[1:, cv2.CC_STAT_AREA] * settings.cell_size**2
-    large = np.flatnonzero(areas >= settings.least_area)
-    if not large.size:
-        raise InputError(nothing)
-    if large.size > 1:
-        raise InputError(
-            f'There are {large.size} objects on the support plane, of '
-            f'{", ".join(f"{area * 1e4:.3g}" for area in areas[large])} cm^2: leave one.'
-        )
-    label = int(large[0]) + 1
-    of_object = labels[cells[:, 1], cells[:, 0]] == label
+    view = find_objects(objects, settings)
+    refuse_several(view)
+    of_object = view.object_of_point == 0
     if xyz.ndim == 3 and _at_border(returns, on_object, of_object):
-        raise InputError(
-            "The object reaches the border of the range sensor's image: move it to the middle."
-        )
-    centre = low + (centroids[label] + 0.5) * settings.cell_size
+        raise InputError(_CUT_OFF)
+    centre = np.array(view.centres[0])
     surface = objects[of_object]
     near = np.hypot(*(surface[:, :2] - centre).T) < settings.patch_radius
     if np.count_nonzero(near) < settings.least_patch_points:
-        raise InputError(
-            f"The surface at the object's mass centre is not seen: {np.count_nonzero(near)} "
-            f'returns within {settings.patch_radius * 1e3:.3g} mm, '
-            f'{settings.least_patch_points} are needed; raise the tool out of the view.'
-        )
+        raise InputError(_unseen(int(np.count_nonzero(near)), settings))
     height = float(np.median(surface[near, 2]))
     contact = (np.array([centre[0], centre[1], height]) - shift) @ rotation
     x, y, z = plane.normal
     return ContactPlan(
         contact_point=(float(contact[0]), float(contact[1]), float(contact[2])),
         push_direction=(-x, -y, -z),
-        object_area=float(areas[large[0]]),
+        object_area=view.areas[0],
         object_height=height,
         plane=plane,
     )
@@ -373,5 +165,326 @@ def _at_border(returns: BoolArray, on_object: BoolArray, of_object: BoolArray) -
     image = np.zeros(np.count_nonzero(returns), dtype=bool)
     image[np.flatnonzero(on_object)[of_object]] = True
     flags[returns] = image
+    return _touches_border(flags)
+
+
+def _touches_border(flags: BoolArray) -> bool:
     rim = np.concatenate((flags[0], flags[-1], flags[:, 0], flags[:, -1]))
     return bool(rim.any())
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSettings:
+    """
+    All that touch-and-see goes by.
+
+    Parameters
+    ----------
+    planning : PlanningSettings
+        Plane, objects and contact point.
+    merge : MergeSettings
+        How far the views' poses are known.
+    push : PushSettings
+        Force, mass and frictions.
+    view : ViewSettings
+        What is to be seen of the dent.
+    outline : OutlineSettings
+        How pictures are used.
+    voxel : float
+        Side of the voxels of the object's surface [m].
+    border_reach : float
+        The support plane is seen beside the outline if it is seen this near to it [m].
+    least_seen : float
+        Less than this share of top view, outline or dent seen is worth a warning.
+
+    """
+
+    planning: PlanningSettings = DEFAULT_PLANNING
+    merge: MergeSettings = DEFAULT_MERGE
+    push: PushSettings = DEFAULT_PUSH
+    view: ViewSettings = DEFAULT_VIEW
+    outline: OutlineSettings = DEFAULT_OUTLINE
+    voxel: float = 0.0015
+    border_reach: float = 0.005
+    least_seen: float = 0.8
+
+
+DEFAULT_TOUCH: Final = TouchSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPlan:
+    """
+    What stands there, where to push it, and from where to see it.
+
+    Poses, points and directions are in the base frame, that of the views' poses; `body`,
+    `symmetry` and `surface` in the support plane's.
+
+    Parameters
+    ----------
+    contact : ContactPlan
+        P_c and the push direction.
+    centre_of_gravity : tuple of float
+        At constant density [m].
+    volume : float
+        [m^3]
+    object_pose : Pose
+        At the centre of gravity: x along L, z along the plane's normal.
+    size : tuple of float
+        Length along L, width across it, and height [m].
+    viewpoint : Viewpoint
+        V_O.
+    stability : Stability
+        How far the push is from failing.
+    symmetry : Symmetry
+        L, and how far S is one.
+    body : Body
+        The object's map of heights.
+    surface : Surface
+        The object's surface.
+    outline_seen : float
+        Share of the outline beside which the support plane was seen.
+    merge : Merge
+        How the views fitted together.
+    warnings : tuple of str
+        What to know before trusting it, one sentence each.
+
+    """
+
+    contact: ContactPlan
+    centre_of_gravity: tuple[float, float, float]
+    volume: float
+    object_pose: Pose
+    size: tuple[float, float, float]
+    viewpoint: Viewpoint
+    stability: Stability
+    symmetry: Symmetry
+    body: Body
+    surface: Surface
+    outline_seen: float
+    merge: Merge
+    warnings: tuple[str, ...]
+
+
+def touch_and_see(
+    views: Sequence[View],
+    pictures: Sequence[Picture] = (),
+    *,
+    ceiling: float | None = None,
+    nearest_to: tuple[float, float, float] | None = None,
+    settings: TouchSettings = DEFAULT_TOUCH,
+) -> TouchPlan:
+    """
+    Merge views, find the object, and choose contact point, push direction and viewpoint.
+
+    Parameters
+    ----------
+    views : sequence of View
+        At least one.
+    pictures : sequence of Picture
+        Pictures without distortion that the outline is held against.
+    ceiling : float, optional
+        Height of the tool tip above the support plane [m]: nothing as high is the object's.
+    nearest_to : tuple of float, optional
+        Of several objects the one nearest to this point of the base frame is taken; without it
+        several are refused.
+    settings : TouchSettings
+        Numbers.
+
+    Returns
+    -------
+    TouchPlan
+        The plan.
+
+    Raises
+    ------
+    InputError
+        If views do not fit together, there is no plane, no object or more than one, an object
+        that is cut off, a contact point that is not seen, or a push that tips or slides it.
+
+    References
+    ----------
+    Paper, section on touch and see: G_top, L, S, P_c and V_O.
+
+    """
+    merge = merge_views(views, settings.merge)
+    points = np.concatenate(merge.clouds)
+    places = np.array([pose.translation for pose in merge.poses])
+    middle = places.mean(axis=0)
+    plane = fit_support_plane(
+        points,
+        settings.planning,
+        seen_from=(float(middle[0]), float(middle[1]), float(middle[2])),
+    )
+    to_plane = Pose(*plane.to_plane_frame())
+    to_base = to_plane.inverse()
+    levelled = to_plane.apply(points)
+    above = levelled[:, 2] > settings.planning.object_clearance
+    if ceiling is not None:
+        above &= levelled[:, 2] < ceiling - settings.planning.plane_tolerance
+    objects = levelled[above]
+    top = find_objects(objects, settings.planning)
+    chosen = _choose(top, nearest_to, to_plane)
+    mine = top.object_of_point == chosen
+    member = np.zeros(len(points), dtype=bool)
+    member[np.flatnonzero(above)[mine]] = True
+    _refuse_cut_off(views, member)
+    surface = make_surface(objects[mine], voxel=settings.voxel)
+    on_plane = levelled[np.abs(levelled[:, 2]) < settings.planning.plane_tolerance]
+    body = make_body(
+        surface,
+        on_plane,
+        cell=settings.planning.cell_size,
+        closing_cells=settings.planning.closing_cells,
+    )
+    warnings: list[str] = []
+    for number, picture in enumerate(pictures, 1):
+        check = refine_outline(body, picture, to_base, settings.outline)
+        body = check.body
+        if not check.used:
+            warnings.append(
+                f'Picture {number} was not used: its silhouette of the object has only '
+                f'{check.overlap:.0%} in common with that of the clouds, '
+                f'{settings.outline.least_overlap:.0%} are needed; check its pose.'
+            )
+    outline_seen = border_seen(body, on_plane, settings.border_reach)
+    symmetry = find_symmetry(body)
+    contact, normal = _contact(surface, body, settings.planning)
+    base, base_seen = find_base(surface, body, settings.push)
+    stability = check_push(body, base, base_seen, contact, normal, settings.push)
+    refuse_unstable(stability, settings.push)
+    viewpoint = choose_viewpoint(
+        body, symmetry, contact, settings.view, near=to_plane.apply(places[:1])[0]
+    )
+    warnings += _object_warnings(body, outline_seen, stability, viewpoint, settings)
+    gravity = body.centre_of_gravity
+    cos, sin = np.cos(symmetry.angle), np.sin(symmetry.angle)
+    along = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    pose = to_base.after(Pose(along, gravity))
+    x, y, z = plane.normal
+    return TouchPlan(
+        contact=ContactPlan(
+            contact_point=_triple(to_base.apply(contact)),
+            push_direction=(-x, -y, -z),
+            object_area=body.area,
+            object_height=float(contact[2]),
+            plane=plane,
+        ),
+        centre_of_gravity=_triple(pose.translation),
+        volume=body.volume,
+        object_pose=pose,
+        size=_size(body, symmetry),
+        viewpoint=Viewpoint(
+            to_base.after(viewpoint.pose),
+            viewpoint.elevation,
+            viewpoint.needed,
+            viewpoint.seen_share,
+        ),
+        stability=stability,
+        symmetry=symmetry,
+        body=body,
+        surface=surface,
+        outline_seen=outline_seen,
+        merge=merge,
+        warnings=tuple(warnings),
+    )
+
+
+def _triple(point: FloatArray) -> tuple[float, float, float]:
+    return float(point[0]), float(point[1]), float(point[2])
+
+
+def _choose(top: TopView, nearest_to: tuple[float, float, float] | None, to_plane: Pose) -> int:
+    """Return the number of the object to push."""
+    if nearest_to is None:
+        refuse_several(top)
+        return 0
+    goal = to_plane.apply(np.array(nearest_to))[:2]
+    return int(np.argmin([np.hypot(*(np.array(centre) - goal)) for centre in top.centres]))
+
+
+def _refuse_cut_off(views: Sequence[View], member: BoolArray) -> None:
+    """Refuse an object that no view shows whole."""
+    start = 0
+    cut = []
+    for view in views:
+        returns = np.isfinite(view.xyz).all(axis=-1)
+        count = int(np.count_nonzero(returns))
+        if returns.ndim == 2:
+            shown = np.flatnonzero(returns)
+            flags = np.zeros(returns.size, dtype=bool)
+            flags[shown[member[start:][:count]]] = True
+            cut.append(_touches_border(flags.reshape(returns.shape)))
+        else:
+            cut.append(False)
+        start += count
+    if all(cut):
+        raise InputError(_CUT_OFF)
+
+
+def _contact(
+    surface: Surface, body: Body, settings: PlanningSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return P_c and the surface's normal there, in the support plane's frame."""
+    centre = body.top_view_centre
+    offset = surface.points - np.array([*centre, 0.0])
+    near = np.hypot(offset[:, 0], offset[:, 1]) < settings.patch_radius
+    # The underside of nothing is seen: what faces down is a stray.
+    near &= surface.normals[:, 2] > 0.0
+    returns = int(surface.returns[near].sum())
+    if returns < settings.least_patch_points or np.count_nonzero(near) < 3:
+        raise InputError(_unseen(returns, settings))
+    weight = np.sqrt(surface.returns[near])
+    slope = np.stack((*offset[near, :2].T, np.ones(np.count_nonzero(near))), axis=1)
+    a, b, _ = np.linalg.lstsq(slope * weight[:, None], offset[near, 2] * weight, rcond=None)[0]
+    normal = np.array([-a, -b, 1.0]) / np.sqrt(a * a + b * b + 1.0)
+    level = float(np.median(offset[near, 2] - slope[:, :2] @ (a, b)))
+    return np.array([*centre, level]), normal
+
+
+def _unseen(returns: int, settings: PlanningSettings) -> str:
+    return (
+        f"The surface at the object's mass centre is not seen: {returns} "
+        f'returns within {settings.patch_radius * 1e3:.3g} mm, '
+        f'{settings.least_patch_points} are needed; raise the tool out of the view.'
+    )
+
+
+def _size(body: Body, symmetry: Symmetry) -> tuple[float, float, float]:
+    """Return length along L, width across it, and height [m]."""
+    x, y = (item[body.inside] for item in body.centres())
+    cos, sin = np.cos(symmetry.angle), np.sin(symmetry.angle)
+    # The middles of the cells at the border lie on the border.
+    along, across = x * cos + y * sin, y * cos - x * sin
+    return float(np.ptp(along)), float(np.ptp(across)), float(body.heights.max())
+
+
+def _object_warnings(
+    body: Body,
+    outline_seen: float,
+    stability: Stability,
+    viewpoint: Viewpoint,
+    settings: TouchSettings,
+) -> list[str]:
+    warnings = []
+    if outline_seen < settings.least_seen:
+        warnings.append(
+            f'Beside {1.0 - outline_seen:.0%} of the outline the support plane was not seen, the '
+            'object may go on there: add a view from above or from the other side.'
+        )
+    if body.seen_share < settings.least_seen:
+        warnings.append(
+            f'Only {body.seen_share:.0%} of the top view was measured: add a view from above.'
+        )
+    if not stability.base_seen:
+        warnings.append(
+            'The base of the object was not seen all around, its outline stands in for it: add '
+            'views from other sides.'
+        )
+    if viewpoint.seen_share < settings.least_seen:
+        warnings.append(
+            f'From the viewpoint, {np.rad2deg(viewpoint.elevation):.0f} deg above the plane, '
+            f'{viewpoint.seen_share:.0%} of the middle of the dent are seen; all of it from '
+            f'{np.rad2deg(viewpoint.needed):.0f} deg on.'
+        )
+    return warnings

@@ -23,7 +23,8 @@ from typing import Any, Final
 
 from hapticvision_ros.bag.contract import CONTACT_POINT, PLAN, POINTS, PUSH_DIRECTION, TOOL_HEIGHT
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.planning import ContactPlan, plan_contact, PlanningSettings
+from hapticvision_ros.core.planning import ContactPlan, plan_contact
+from hapticvision_ros.core.scene.settings import PlanningSettings
 from hapticvision_ros.nodes.conversions import (
     ns_from_stamp,
     point_to_message,

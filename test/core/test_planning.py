@@ -15,12 +15,9 @@
 """Support plane and contact point from one cloud."""
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.planning import (
-    finite_points,
-    fit_support_plane,
-    plan_contact,
-    PlanningSettings,
-)
+from hapticvision_ros.core.planning import plan_contact
+from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane
+from hapticvision_ros.core.scene.settings import PlanningSettings
 import numpy as np
 import pytest
 
