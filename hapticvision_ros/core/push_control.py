@@ -41,6 +41,12 @@ RETRACT_PATIENCE: Final = 2.0
 FROZEN_READINGS: Final = 10
 """Fewer readings of the very same force do not count as frozen, however long they take."""
 
+FROZEN_TRAVEL: Final = 0.0005
+"""A height that stays the very same while the tool is told to go so far is no height [m]."""
+
+FROZEN_HEIGHTS: Final = 3
+"""In fewer readings a height may stay the same by its rate alone."""
+
 BACKWARD_STAMPS: Final = 20
 """So many stamps in a row far before the newest tell that a clock was set back."""
 
@@ -461,6 +467,11 @@ class PushControl:
         self._changed = t
         self._same_readings = 0
         self._new_force = False
+        self._last_tool = Reading(-inf, retract_height)
+        self._same_heights = 0
+        self._travel = 0.0
+        self._stepped = t
+        self._told = 0.0
         self._zero_sum = 0.0
         self._zero_count = 0
         self._at_rest = False
@@ -531,16 +542,19 @@ class PushControl:
         height = self._fresh(tool, t)
         contact_force = self._fresh(force, t)
         self._note(t, height, contact_force, force)
+        if height is not None and tool is not None:
+            self._follow(t, tool)
         if self.phase not in ('done', 'aborted'):
             self._check(t, height, contact_force, heartbeat)
         if height is None:
             # Without its height the tool may neither push nor retract.
             if self.phase == 'aborted':
                 self._wait(t)
+            self._told = 0.0
             return Command(0.0, self.phase)
-        speed = self._advance(t, height, contact_force)
         most = self._limits.max_speed
-        return Command(min(max(speed, -most), most), self.phase)
+        self._told = min(max(self._advance(t, height, contact_force), -most), most)
+        return Command(self._told, self.phase)
 
     def _fresh(self, reading: Reading | None, t: float) -> float | None:
         if reading is None or not isfinite(reading.value):
@@ -564,6 +578,17 @@ class PushControl:
             else:
                 self._same_readings += 1
             self._last_force = reading
+
+    def _follow(self, t: float, tool: Reading) -> None:
+        """Take note of how far the tool was told to go while its height stays the same."""
+        self._travel += abs(self._told) * (t - self._stepped)
+        self._stepped = t
+        if tool.t > self._last_tool.t:
+            if tool.value != self._last_tool.value:
+                self._travel, self._same_heights = 0.0, 0
+            else:
+                self._same_heights += 1
+            self._last_tool = tool
 
     def _check(
         self, t: float, height: float | None, force: float | None, heartbeat: float | None
@@ -596,6 +621,12 @@ class PushControl:
             self.abort(
                 f'The contact force has been {force:.6g} N exactly for {limits.frozen_time:.4g} '
                 's: the load cell is saturated or dead.',
+                t,
+            )
+        elif self._travel > FROZEN_TRAVEL and self._same_heights >= FROZEN_HEIGHTS:
+            self.abort(
+                f'The tool height stays at {height * 1e3:.6g} mm while the tool is told to move: '
+                'the arm does not follow, or its reading is dead.',
                 t,
             )
         elif not (

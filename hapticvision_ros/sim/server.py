@@ -228,6 +228,26 @@ def _with_rates(config: WorldConfig, arguments: argparse.Namespace) -> WorldConf
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the ``simulated_world`` command and return its exit code."""
+    return run_world(WorldServer, argv)
+
+
+def run_world(kind: type[WorldServer], argv: Sequence[str] | None = None) -> int:
+    """
+    Serve a world until a signal comes.
+
+    Parameters
+    ----------
+    kind : type of WorldServer
+        What serves it.
+    argv : sequence of str, optional
+        The arguments of ``simulated_world``; those of the process if not given.
+
+    Returns
+    -------
+    int
+        The exit code.
+
+    """
     arguments = _parser().parse_args(argv)
     stop = False
 
@@ -240,7 +260,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         config = _with_rates(load_config(arguments.config), arguments)
         world = World(config, config.material(arguments.object), seed=arguments.seed)
-        server = WorldServer(world, config, arguments.port)
+        server = kind(world, config, arguments.port)
     except HapticVisionError as error:
         print(f'simulated_world: {error}', file=sys.stderr)
         return error.exit_code

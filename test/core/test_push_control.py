@@ -404,6 +404,20 @@ def test_a_saturated_load_cell_aborts_the_push():
     assert bench.control.report().depth < 0.0032
 
 
+@pytest.mark.parametrize('phase', ['approach', 'push', 'release'])
+def test_a_dead_encoder_aborts_the_push_before_it_goes_far(phase):
+    bench = Bench()
+    bench.run_until(phase)
+    for _ in range(20):
+        bench.step()
+    dead = bench.height
+    while bench.step(tool=Reading(bench.t, dead)).phase == phase:
+        assert abs(bench.height - dead) < 0.0008
+    assert 'does not follow' in bench.control.reason
+    while not bench.control.finished:
+        assert bench.step(tool=Reading(bench.t, dead)).push_velocity <= 0.0
+
+
 def test_a_few_equal_readings_of_a_slow_load_cell_are_not_frozen():
     bench = Bench(limits=replace(LIMITS, frozen_time=0.01, stale_time=1.0))
     held = None
