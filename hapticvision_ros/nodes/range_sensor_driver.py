@@ -20,6 +20,7 @@ to be sent for it.
 """
 
 from collections import deque
+import time
 from typing import Any, Final
 
 from hapticvision_ros.bag.contract import (
@@ -31,60 +32,42 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.core.devices import RangeFrame, RangeSensor
 from hapticvision_ros.core.displacement import DisplacementSettings, DisplacementTracker
+from hapticvision_ros.devices.monitor import StreamMonitor
+from hapticvision_ros.devices.range_frames import share_of_returns
 from hapticvision_ros.nodes.conversions import (
     cloud_to_message,
     NS_PER_S,
     point_from_message,
     scalar_to_message,
 )
+from hapticvision_ros.nodes.device_keeper import DeviceKeeper, REOPEN_PARAMETERS
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_subscription
+from hapticvision_ros.nodes.range_backends import connect, RANGE_PARAMETERS
 from hapticvision_ros.nodes.runtime import CellNode, run
-from hapticvision_ros.sim.devices import connect_range_sensor
 
 NAME: Final = 'range_sensor_driver'
 
 PARAMETERS: Final = (
-    ParameterSpec(
-        'backend', 'string', '-', 'Which device to use.', choices=('simulated',), read_only=True
-    ),
-    ParameterSpec(
-        'simulated_world_port',
-        'integer',
-        '-',
-        'UDP port of the simulated world on loopback.',
-        1,
-        65535,
-        read_only=True,
-    ),
-    ParameterSpec('width', 'integer', '-', 'Columns of a cloud.', 16, 4096, read_only=True),
-    ParameterSpec('height', 'integer', '-', 'Rows of a cloud.', 16, 4096, read_only=True),
-    ParameterSpec(
-        'simulated_depth_noise',
-        'double',
-        'm',
-        'Standard deviation of the depth that the simulated sensor measures.',
-        0.0,
-        0.01,
-        read_only=True,
-    ),
-    ParameterSpec(
-        'simulated_seed',
-        'integer',
-        '-',
-        "Seed of the simulated sensor's noise.",
-        0,
-        2**31 - 1,
-        read_only=True,
-    ),
+    *RANGE_PARAMETERS,
     ParameterSpec(
         'frame_timeout',
         'double',
         's',
-        'Without a frame for this time the range sensor counts as lost and the node ends.',
+        'Without a frame for this time the range sensor counts as lost.',
         0.1,
         60.0,
+    ),
+    *REOPEN_PARAMETERS,
+    ParameterSpec(
+        'least_returns',
+        'double',
+        '-',
+        'Share of the points of a frame that have to be returns; fewer are reported.',
+        0.0,
+        1.0,
     ),
     ParameterSpec(
         'tool_height_age',
@@ -165,6 +148,7 @@ PARAMETERS: Final = (
 )
 
 _TOOL_HEIGHTS_KEPT: Final = 2000
+_CLOCK_JUMP: Final = 1.0
 
 
 class RangeSensorDriver(CellNode):
@@ -189,22 +173,29 @@ class RangeSensorDriver(CellNode):
         self._tracker: DisplacementTracker | None = None
         self._points = create_publisher(self, POINTS)
         self._displacement = create_publisher(self, DISPLACEMENT_HEIGHT)
-        self._sensor: RangeSensor = connect_range_sensor(
-            values.integer('simulated_world_port'),
-            width=values.integer('width'),
-            height=values.integer('height'),
-            depth_noise=values.real('simulated_depth_noise'),
-            seed=values.integer('simulated_seed'),
+        self._monitor = StreamMonitor(_CLOCK_JUMP)
+        self._returns: float | None = None
+        self._age = self._work = 0.0
+        self._seen = 0
+        self._keeper: DeviceKeeper[RangeSensor] = DeviceKeeper(
+            lambda: connect(self, values),
+            self.stopping,
+            self.get_logger(),
+            interval=values.real('reopen_interval'),
+            patience=values.real('reopen_time'),
         )
         self._tool_heights_sent = Intake.of(self, TOOL_HEIGHT)
         create_subscription(self, CONTACT_POINT, self._on_contact_point)
         create_subscription(self, PHASE, self._on_phase)
+        diagnostics = self._diagnostics = Diagnostics(self, values.text('backend'))
+        diagnostics.add('device', self._keeper.finding)
+        diagnostics.add('frames', self._find_frames)
         self.spawn(self._grab, 'range sensor reader')
 
     def close(self) -> None:
         """Stop the reader, then let go of the range sensor."""
         super().close()
-        self._sensor.close()
+        self._keeper.close()
 
     def _on_contact_point(self, message: Any) -> None:
         if message.header.frame_id != CONTACT_POINT.frame_id:
@@ -225,11 +216,37 @@ class RangeSensorDriver(CellNode):
             self._tracker = DisplacementTracker(self._axis, self._settings)
 
     def _grab(self) -> None:
-        while not self.stopping.is_set():
-            frame = self._sensor.grab(self.parameters.real('frame_timeout'))
-            # First, since a Float64 carries no stamp but the time of its sending.
-            self._follow(frame)
-            self._points.publish(cloud_to_message(frame, POINTS.frame_id))
+        self._keeper.run(self._grab_once, self._monitor.restart, self._diagnostics.hasten)
+
+    def _grab_once(self, sensor: RangeSensor) -> None:
+        frame = sensor.grab(self.parameters.real('frame_timeout'))
+        begun = time.monotonic()
+        self._age = (self.get_clock().now().nanoseconds - frame.stamp_ns) / NS_PER_S
+        self._monitor.take(frame.stamp_ns, self.parameters.real('frame_timeout'))
+        # First, since a Float64 carries no stamp but the time of its sending.
+        self._follow(frame)
+        self._points.publish(cloud_to_message(frame, POINTS.frame_id))
+        self._returns = share_of_returns(frame.xyz)
+        self._work = time.monotonic() - begun
+
+    def _find_frames(self) -> Finding:
+        """Return what is wrong with the frames at present."""
+        rate, returns = self._monitor.rate(time.monotonic()), self._returns
+        values: dict[str, object] = {
+            'rate_hz': rate,
+            'age_s': self._age,
+            'work_s': self._work,
+            'share_of_returns': returns,
+            'clock_jumps': self._monitor.health.clock_jumps,
+            'heights': self._seen,
+        }
+        least = self.parameters.real('least_returns')
+        if returns is None:
+            return Finding(Level.WARN, 'No frame has come yet.', values)
+        if returns < least:
+            said = f'Only {100.0 * returns:.3g} % of the points are returns.'
+            return Finding(Level.WARN, said, values)
+        return Finding(Level.OK, 'Frames come as expected.', values)
 
     def _follow(self, frame: RangeFrame) -> None:
         tracker = self._tracker
@@ -237,6 +254,7 @@ class RangeSensorDriver(CellNode):
             return
         height = tracker.update(frame.xyz, self._tool_height_at(frame.stamp_ns))
         if height is not None:
+            self._seen += 1
             self._displacement.publish(scalar_to_message(height))
 
     def _tool_height_at(self, stamp_ns: int) -> float | None:

@@ -67,6 +67,7 @@ def test_the_dent_is_seen_before_the_push_and_after_it(world, start_node, probe,
             'recover_time': 2.0,
             'release_speed': 0.03,
             'stale_time': 1.0,
+            'heartbeat_time': 0.0,
         },
     )
     heights, phases = probe.listen(DISPLACEMENT_HEIGHT), probe.listen(PHASE)
