@@ -1,0 +1,272 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Arms over topics: the commands that they get, the heights that they tell, a whole push."""
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from hapticvision_ros.bag.contract import PHASE, TOOL_HEIGHT
+from hapticvision_ros.core.errors import DeviceError, InputError
+from hapticvision_ros.nodes import arm_backends
+from hapticvision_ros.nodes.arm_backends import connect
+from hapticvision_ros.nodes.arm_push_controller import NAME, PARAMETERS
+from hapticvision_ros.nodes.parameters import Parameters
+from hapticvision_ros.sim.devices import connect_arm
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+STAMP_NS = 1_790_000_000_123_456_789
+
+
+def _stamp():
+    return Time(sec=STAMP_NS // 10**9, nanosec=STAMP_NS % 10**9)
+
+
+def _pose(height):
+    message = PoseStamped()
+    message.header.stamp = _stamp()
+    message.pose.position.z = height
+    return message
+
+
+def _joints(height):
+    message = JointState(name=['pan', 'lift'], position=[9.9, height])
+    message.header.stamp = _stamp()
+    return message
+
+
+HEIGHTS = {
+    'float64': (Float64, lambda height: Float64(data=height)),
+    'pose': (PoseStamped, _pose),
+    'joint_state': (JointState, _joints),
+}
+
+
+class Robot:
+    """What an arm's own nodes do: take a speed, tell a height, again and again."""
+
+    def __init__(self, node, command_type, height_type, make):
+        self.commands = []
+        self.height = 0.25
+        self.silent = False
+        self._make = make
+        self._subscription = node.create_subscription(
+            command_type, '/robot/command', self.commands.append, 100
+        )
+        self._publisher = node.create_publisher(height_type, '/robot/height', 100)
+        self._timer = node.create_timer(0.01, self._tell)
+        self._node = node
+
+    def _tell(self):
+        if not self.silent:
+            self._publisher.publish(self._make(self.height))
+
+    def close(self):
+        self._node.destroy_subscription(self._subscription)
+
+
+@pytest.fixture
+def parameters_of(ros):
+    nodes = []
+
+    def make(**values):
+        values = {
+            'command_topic': '/robot/command',
+            'tool_height_topic': '/robot/height',
+            **values,
+        }
+        node = rclpy.create_node(
+            NAME,
+            automatically_declare_parameters_from_overrides=True,
+            parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
+        )
+        nodes.append(node)
+        return node, Parameters(node, NAME, PARAMETERS)
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize('kind', HEIGHTS)
+def test_the_height_is_read_from_what_the_arm_tells(kind, parameters_of, probe, until):
+    robot = Robot(probe.node, TwistStamped, *HEIGHTS[kind])
+    arm = connect(
+        *parameters_of(
+            backend='twist',
+            tool_height_type=kind,
+            tool_height_joint='lift',
+            tool_height_scale=-2.0,
+            tool_height_offset=1.0,
+        )
+    )
+    state = arm.read(5.0)[-1]
+    assert state.tool_height == pytest.approx(1.0 - 2.0 * 0.25)
+    if kind != 'float64':
+        assert state.stamp_ns == STAMP_NS
+    robot.height = float('nan')
+    with pytest.raises(DeviceError, match=r'has told no tool height on /robot/height for 0\.2 s'):
+        for _ in range(100):
+            arm.read(0.2)
+    arm.close()
+    with pytest.raises(DeviceError, match='has been closed'):
+        arm.read(0.2)
+
+
+def test_moveit_servo_gets_a_stamped_twist_along_the_push_axis(parameters_of, probe, until):
+    robot = Robot(probe.node, TwistStamped, *HEIGHTS['pose'])
+    node, parameters = parameters_of(
+        backend='twist', push_axis=[0.0, -0.6, 0.8], command_frame='tcp'
+    )
+    arm = connect(node, parameters)
+    arm.command(0.01)
+    until(lambda: robot.commands, 'a command')
+    twist = robot.commands[0]
+    assert twist.header.frame_id == 'tcp'
+    now_ns = node.get_clock().now().nanoseconds
+    # MoveIt Servo halts on a stamp that is old.
+    assert 0 <= now_ns - (twist.header.stamp.sec * 10**9 + twist.header.stamp.nanosec) < 10**9
+    linear, angular = twist.twist.linear, twist.twist.angular
+    assert (linear.x, linear.y, linear.z) == pytest.approx((0.0, -0.006, 0.008))
+    assert (angular.x, angular.y, angular.z) == (0.0, 0.0, 0.0)
+    # Letting go is a stop.
+    arm.close()
+    until(lambda: robot.commands[-1].twist.linear.z == 0.0, 'the stop')
+
+
+def test_a_velocity_controller_gets_each_joints_velocity(parameters_of, probe, until):
+    robot = Robot(probe.node, Float64MultiArray, *HEIGHTS['joint_state'])
+    arm = connect(
+        *parameters_of(
+            backend='velocity',
+            joint_velocities=[0.0, -2.5],
+            tool_height_type='joint_state',
+            tool_height_joint='lift',
+        )
+    )
+    arm.command(0.01)
+    until(lambda: robot.commands, 'a command')
+    assert list(robot.commands[0].data) == pytest.approx([0.0, -0.025])
+    arm.close()
+    arm.close()
+    until(lambda: list(robot.commands[-1].data) == [0.0, 0.0], 'the stop')
+
+
+def test_a_controller_that_has_gone_is_an_error_of_one_sentence(parameters_of, probe, until):
+    robot = Robot(probe.node, TwistStamped, *HEIGHTS['pose'])
+    arm = connect(*parameters_of(backend='twist'))
+    arm.command(0.01)
+    robot.close()
+
+    def refused():
+        try:
+            arm.command(0.01)
+        except DeviceError as error:
+            return str(error)
+        return None
+
+    assert until(refused, 'an error') == (
+        'nobody takes the speed of the arm on /robot/command: see to its controller'
+    )
+    # A stop is always sent.
+    arm.command(0.0)
+    arm.close()
+
+
+@pytest.mark.parametrize(
+    ('values', 'sentence'),
+    [
+        ({'backend': 'twist', 'push_axis': [0.0, 0.0, 0.5]}, 'three numbers of a unit vector'),
+        ({'backend': 'twist', 'push_axis': [1.0]}, 'three numbers of a unit vector'),
+        ({'backend': 'twist', 'command_topic': ''}, 'command_topic is empty'),
+        ({'backend': 'velocity', 'tool_height_type': 'joint_state'}, 'name the joint'),
+    ],
+)
+def test_a_wrong_setting_is_refused(parameters_of, values, sentence):
+    with pytest.raises(InputError, match=sentence):
+        connect(*parameters_of(**values))
+
+
+def test_an_arm_that_is_not_there_is_told(parameters_of, probe, monkeypatch):
+    monkeypatch.setattr(arm_backends, 'CONNECT_TIMEOUT', 0.3)
+    with pytest.raises(DeviceError, match='nobody takes the speed'):
+        connect(*parameters_of(backend='twist'))
+    robot = Robot(probe.node, TwistStamped, *HEIGHTS['pose'])
+    robot.silent = True
+    monkeypatch.setattr(arm_backends, 'CONNECT_TIMEOUT', 2.0)
+    with pytest.raises(DeviceError, match='tells no tool height'):
+        connect(*parameters_of(backend='twist'))
+
+
+class WorldRobot:
+    """An arm behind MoveIt Servo, whose motors are the simulated world's."""
+
+    def __init__(self, node, port):
+        self.arm = connect_arm(port)
+        self._publisher = node.create_publisher(PoseStamped, '/robot/pose', 100)
+        self._subscription = node.create_subscription(TwistStamped, '/robot/twist', self._move, 1)
+        self._timer = node.create_timer(0.005, self._tell)
+        self._node = node
+
+    def _move(self, message):
+        self.arm.command(message.twist.linear.z)
+
+    def _tell(self):
+        state = self.arm.read(1.0)[-1]
+        message = PoseStamped()
+        sec, nanosec = divmod(state.stamp_ns, 10**9)
+        message.header.stamp = Time(sec=sec, nanosec=nanosec)
+        # In the frame of a robot that stands 0.3 m above the plane.
+        message.pose.position.z = state.tool_height - 0.3
+        self._publisher.publish(message)
+
+    def close(self):
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+        self.arm.close()
+
+
+def test_a_whole_push_over_topics(start_world, start_node, probe, until):
+    world = start_world('--object', 'spring1', '--force-rate', '200', '--arm-rate', '200')
+    robot = WorldRobot(probe.node, world.port)
+    start_node('load_cell_driver', {'simulated_world_port': world.port, 'rate': 200.0})
+    controller = start_node(
+        'arm_push_controller',
+        {
+            'backend': 'twist',
+            'command_topic': '/robot/twist',
+            'tool_height_topic': '/robot/pose',
+            'tool_height_offset': 0.3,
+            'push_speed': 0.02,
+            'depth': 0.004,
+            'hold_time': 0.5,
+            'recover_time': 0.5,
+            'release_speed': 0.03,
+            'stale_time': 1.0,
+            'heartbeat_time': 0.0,
+        },
+    )
+    phases, heights = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+    probe.start_push()
+    until(lambda: phases and phases[-1].data in ('done', 'aborted'), 'the end')
+    assert phases[-1].data == 'done', controller.output
+    lowest = min(message.data for message in heights)
+    # The block is 40 mm high. The load cell's 200 Hz and the way there and back cost the tool
+    # some periods of 5 ms at 20 mm/s.
+    assert lowest == pytest.approx(0.036, abs=0.001)
+    assert controller.stop() == 0
+    robot.close()
