@@ -249,10 +249,17 @@ def sensor_noise(t: FloatArray, noise: SensorNoise, random: np.random.Generator)
         In the unit of `noise`.
 
     """
-    kept = np.exp(-np.maximum(np.diff(t, prepend=-np.inf), 0.0) / noise.correlation_time)
-    slow = np.empty(t.size)
-    _remember(kept, np.sqrt(1.0 - kept**2) * random.standard_normal(t.size), slow)
-    return noise.slow * slow + noise.white * random.standard_normal(t.size)
+    value = noise.white * random.standard_normal(t.size)
+    for size, time in (
+        (noise.slow, noise.correlation_time),
+        (noise.wander, noise.wander_time),
+    ):
+        if size > 0.0:
+            kept = np.exp(-np.maximum(np.diff(t, prepend=-np.inf), 0.0) / time)
+            slow = np.empty(t.size)
+            _remember(kept, np.sqrt(1.0 - kept**2) * random.standard_normal(t.size), slow)
+            value += size * slow
+    return value
 
 
 @kernel()

@@ -417,9 +417,9 @@ class _Rival:
             forces.add(force_blocks(trial, jumps[index]), force, noise.force)
             if height.size:
                 heights.add(height_blocks(trial), height, noise.height)
-        trial, (longest, longest_height) = problem.trials[0], self._bench.memory
-        return forces.worse(self._right.force_noise, trial.interval, longest) + heights.worse(
-            self._right.height_noise, trial.height_interval, longest_height
+        trial, memory = problem.trials[0], self._bench.memory
+        return forces.worse(self._right.force_noise, trial.interval, memory.force) + heights.worse(
+            self._right.height_noise, trial.height_interval, memory.height
         )
 
 

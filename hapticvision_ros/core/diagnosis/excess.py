@@ -122,8 +122,12 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
 
 def _alike(noise: SensorNoise, interval: float) -> float:
     """Return how many samples tell as much of the noise's size as one that is alone."""
-    share = (noise.slow / noise.std) ** 2 if noise.std > 0.0 else 0.0
-    return 1.0 + share**2 * noise.correlation_time / interval
+    if noise.std == 0.0:
+        return 1.0
+    alike = (noise.slow / noise.std) ** 4 * noise.correlation_time
+    if noise.wander > 0.0:
+        alike += (noise.wander / noise.std) ** 4 * noise.wander_time
+    return 1.0 + alike / interval
 
 
 def _turning(trial: FitTrial, t: FloatArray) -> NDArray[np.bool_]:

@@ -37,6 +37,7 @@ from hapticvision_ros.core.fit.campaign import (
     force_blocks,
     height_blocks,
     longest_memory,
+    Memory,
     places_of,
     Problem,
     replace_onsets,
@@ -174,8 +175,8 @@ class Workbench:
         The trials.
     scatter : ndarray, shape (3,) or None
         How K1, C1 and C2 vary from trial to trial.
-    memory : (float, float), optional
-        Longest memory of the noise of force and height [s], where it is known already.
+    memory : Memory, optional
+        What is known of the memory of the noise already.
 
     """
 
@@ -183,7 +184,7 @@ class Workbench:
         self,
         trials: Sequence[FitTrial],
         scatter: FloatArray | None,
-        memory: tuple[float, float] | None = None,
+        memory: Memory | None = None,
     ) -> None:
         self.trials = tuple(trials)
         self.scatter = scatter
@@ -534,12 +535,12 @@ class Workbench:
             forces.append(_bare(force_blocks(trial, jumps[index]), left[index][0]))
             if trial.height_t.size:
                 heights.append(_bare(height_blocks(trial), left[index][1]))
-        longest, longest_height = self.memory
+        memory = self.memory
         interval = self.trials[0].interval
-        force = follow(forces, force, interval, False, longest)
+        force = follow(forces, force, interval, False, memory.force)
         if heights:
             interval = self.trials[0].height_interval
-            height = follow(heights, height, interval, False, longest_height)
+            height = follow(heights, height, interval, False, memory.height)
         return force, height
 
 

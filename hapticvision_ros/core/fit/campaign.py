@@ -48,6 +48,7 @@ from hapticvision_ros.core.fit.noise_model import (
     estimate,
     Record,
     SensorNoise,
+    wandering,
     Whitener,
     whitener,
 )
@@ -834,6 +835,7 @@ def fit_prepared(
         states = [carried(near.problem, near.state, problem)]
     blur = 1.0 if near is None else near.noise.blur
     limit = longest_memory(usable)
+    force_noise = replace(force_noise, wander=limit.wander, wander_time=limit.wander_time)
     ends = []
     for state in states:
         # Each has a problem of its own, whose weights are those of its noise.
@@ -863,7 +865,7 @@ def _weighted(
     force_noise: SensorNoise,
     height_noise: SensorNoise,
     blur: float,
-    limit: tuple[float, float],
+    limit: 'Memory',
     *,
     fresh: bool,
 ) -> _End:
@@ -874,10 +876,10 @@ def _weighted(
         jumps = problem.jumps(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and fresh
-        force_noise = follow(forces, force_noise, trials[0].interval, first, limit[0])
+        force_noise = follow(forces, force_noise, trials[0].interval, first, limit.force)
         if heights:
             interval = trials[0].height_interval
-            height_noise = follow(heights, height_noise, interval, first, limit[1])
+            height_noise = follow(heights, height_noise, interval, first, limit.height)
         # Error bars are those of moments known to a sample, however sharp these look.
         blur = max(problem.sharpest(state, force_noise, blur), 1.0)
         problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
@@ -930,42 +932,69 @@ def follow(
     return estimate(records, start, interval, longest=longest)
 
 
-def longest_memory(trials: Sequence[FitTrial]) -> tuple[float, float]:
+class Memory(NamedTuple):
     """
-    Return the longest memory that the noise of force and height may have [s].
+    What is known of the noise's memory before any model is fitted.
+
+    Parameters
+    ----------
+    force, height : float
+        Longest memory that the noise of each may have [s].
+    wander, wander_time : float
+        Standard deviation [N] and correlation time [s] of the force's zero; none where 0 N.
+
+    """
+
+    force: float
+    height: float
+    wander: float = 0.0
+    wander_time: float = math.inf
+
+
+def longest_memory(trials: Sequence[FitTrial]) -> Memory:
+    """
+    Return the longest memory that the noise of force and height may have.
 
     What a model lacks goes on for as long as a trial does and would pass for noise with such a
     memory. Noise is taken to forget within a hundredth of the trial, unless the force without
-    contact, which no model is needed for, shows that it is slower.
+    contact, which no model is needed for, shows that it is slower, or that its zero wanders.
     """
     record = max(float(trial.t[-1] - trial.t[0]) for trial in trials)
     interval, height_interval = trials[0].interval, trials[0].height_interval
-    force = max(_MEMORY * record, _MEMORY_SAMPLES * interval)
-    height = max(_MEMORY * record, _MEMORY_SAMPLES * height_interval)
+    memory = Memory(
+        max(_MEMORY * record, _MEMORY_SAMPLES * interval),
+        max(_MEMORY * record, _MEMORY_SAMPLES * height_interval),
+    )
+    # A zero that drifts alike in all trials is an effect and does not wander.
     air = [
-        Record(blocks, rest, np.zeros((0, rest.size)), np.ones((1, rest.size)))
+        Record(blocks, rest, since[np.newaxis], np.ones((1, rest.size)))
         for trial in trials
-        for blocks, rest in _without_contact(trial)
+        for blocks, rest, since in _without_contact(trial)
     ]
     if sum(record_.residual.size for record_ in air) < _BASELINE:
-        return force, height
+        return memory
     spread = math.sqrt(
         float(np.sum([np.sum(r.residual**2 * r.blocks.count) for r in air]))
         / float(np.sum([r.blocks.count.sum() for r in air]))
     )
     if spread == 0.0:
-        return force, height
+        return memory
     free = estimate(air, _even(spread, interval), interval)
-    if free.correlation_time <= force:
-        return force, height
-    brief = estimate(air, _even(spread, interval), interval, longest=force)
-    if deviance(air, brief) - deviance(air, free) > _SEEN:
-        force = max(force, _SLOWER * free.correlation_time)
-    return force, height
+    brief = free
+    if free.correlation_time > memory.force:
+        brief = estimate(air, _even(spread, interval), interval, longest=memory.force)
+    level = deviance(air, brief)
+    slower = level - deviance(air, free)
+    wanders = wandering(air, brief, interval, memory.force, at_least=0.5 * _SEEN)
+    if wanders is not None and level - deviance(air, wanders) > slower + _SEEN:
+        return memory._replace(wander=wanders.wander, wander_time=wanders.wander_time)
+    if slower > _SEEN:
+        return memory._replace(force=max(memory.force, _SLOWER * free.correlation_time))
+    return memory
 
 
-def _without_contact(trial: FitTrial) -> list[tuple[Blocks, FloatArray]]:
-    """Return the force before the touch and after the tool has left, less its mean."""
+def _without_contact(trial: FitTrial) -> list[tuple[Blocks, FloatArray, FloatArray]]:
+    """Return the force before the touch and after the tool has left, less its mean, and when."""
     blocks = force_blocks(trial)
     middle = 0.5 * (trial.t[1:] + trial.t[:-1])
     clear = trial.displacement[1:] < -_CLEARANCE * trial.reference_depth
@@ -979,7 +1008,8 @@ def _without_contact(trial: FitTrial) -> list[tuple[Blocks, FloatArray]]:
             continue
         count = blocks.count[chosen]
         rest = trial.force[chosen] - float(trial.force[chosen] @ count) / float(count.sum())
-        found.append((Blocks(blocks.duration[chosen], count, np.zeros(count.size)), rest))
+        part = Blocks(blocks.duration[chosen], count, np.zeros(count.size))
+        found.append((part, rest, middle[chosen] - trial.zero_time))
     return found
 
 

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Noise with memory: white noise plus a first-order autoregression, over blocks of samples.
+Noise with memory: white noise plus one or two first-order autoregressions, over blocks of samples.
 
-The autoregression is one of continuous time (an Ornstein-Uhlenbeck process), so that rates may
-differ and samples may be missing; together with the white noise, its samples are ARMA(1,1). Means
+An autoregression is one of continuous time (an Ornstein-Uhlenbeck process), so that rates may
+differ and samples may be missing; together with the white noise, its samples are ARMA(1,1). A
+second one with a long memory stands for a zero that wanders, as that of a load cell does. Means
 over blocks of samples are whitened exactly, by the innovations of a Kalman filter, so that a
 record may be averaged where nothing happens in it, without losing what is known of its noise.
 
@@ -29,7 +30,7 @@ A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Final
 
@@ -39,6 +40,12 @@ import numpy as np
 
 _NEAR: Final = 128
 """Blocks whose whitened rows stay near the processor while their products are added up."""
+_WANDERS: Final = 3.0
+"""Longest correlation time of a zero that wanders, over a record."""
+_SIZES: Final = (-3.0, -1.5, 0.0)
+"""Logarithms of what the wandering may be, over the rest of the noise, at a first look."""
+_LOG_SIZES: Final = 5.0
+_TURNS: Final = 2
 _SUMMED: Final = 16
 """Blocks of up to this many samples are summed; the closed form loses digits in short ones."""
 
@@ -56,23 +63,30 @@ class SensorNoise:
         Standard deviation of the autoregression, in the same unit.
     correlation_time : float
         Of the autoregression [s].
+    wander : float
+        Standard deviation of the zero, which wanders, in the same unit.
+    wander_time : float
+        Correlation time of the zero [s].
 
     """
 
     white: float
     slow: float
     correlation_time: float
+    wander: float = 0.0
+    wander_time: float = math.inf
 
     @property
     def std(self) -> float:
         """Return the standard deviation of a sample."""
-        return math.hypot(self.white, self.slow)
+        return math.hypot(self.white, self.slow, self.wander)
 
     def correlation(self, interval: float) -> float:
         """Return the correlation of two samples that are `interval` [s] apart."""
         if self.std == 0.0:
             return 0.0
-        return (self.slow / self.std) ** 2 * math.exp(-interval / self.correlation_time)
+        slow = self.slow**2 * math.exp(-interval / self.correlation_time)
+        return (slow + self.wander**2 * math.exp(-interval / self.wander_time)) / self.std**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +108,34 @@ class Blocks:
     duration: FloatArray
     count: FloatArray
     extra: FloatArray
+
+
+@kernel()
+def _of_length(h, n, tau, of):  # type: ignore[no-untyped-def]
+    """
+    Fill what the length of a block makes of an autoregression of unit variance.
+
+    How much of it is left at the block's end, how much of its start the mean sees, what the mean
+    has beyond that, and what of this goes on to the end.
+    """
+    of[1] = np.exp(-h / tau)
+    if n <= 0.0:
+        return
+    x = h / (n * tau)
+    phi = np.exp(-x)
+    gone = -np.expm1(-x)
+    all_gone = -np.expm1(-h / tau)
+    of[2] = phi * all_gone / (n * gone)
+    if n <= _SUMMED:
+        pairs = n
+        power = 1.0
+        for k in range(1, int(n)):
+            power *= phi
+            pairs += 2.0 * (n - k) * power
+    else:
+        pairs = n * (1.0 + phi) / gone - 2.0 * phi * all_gone / (gone * gone)
+    of[3] = max(pairs / (n * n) - of[2] * of[2], 0.0)
+    of[4] = all_gone / (n * gone) - of[2] * of[1]
 
 
 @kernel()
@@ -130,27 +172,11 @@ def _filter(  # type: ignore[no-untyped-def]
             of = known[int(n)]
             if abs(h - of[0]) > 1e-6 * h:
                 of[0] = h
-                of[1] = np.exp(-h / tau)
-                if n > 0.0:
-                    x = h / (n * tau)
-                    phi = np.exp(-x)
-                    gone = -np.expm1(-x)
-                    all_gone = -np.expm1(-h / tau)
-                    of[2] = phi * all_gone / (n * gone)
-                    if n <= _SUMMED:
-                        pairs = n
-                        power = 1.0
-                        for k in range(1, int(n)):
-                            power *= phi
-                            pairs += 2.0 * (n - k) * power
-                    else:
-                        pairs = n * (1.0 + phi) / gone - 2.0 * phi * all_gone / (gone * gone)
-                    of[3] = variance * max(pairs / (n * n) - of[2] * of[2], 0.0) + noise / n
-                    of[4] = variance * (all_gone / (n * gone) - of[2] * of[1])
+                _of_length(h, n, tau, of)
             b = of[1]
             a = of[2]
-            own = of[3]
-            joint = of[4]
+            own = variance * of[3] + (noise / n if n > 0.0 else 0.0)
+            joint = variance * of[4]
         if n > 0.0:
             # Among like blocks the filter soon changes no more: it is not worked out again.
             if not steady or extra[i] != known_extra:
@@ -181,6 +207,79 @@ def _filter(  # type: ignore[no-untyped-def]
             weight[i] = 0.0
             p = b * b * p + variance * (1.0 - b * b)
     return log_determinant + np.log(determinant)
+
+
+@kernel()
+def _filter_two(  # type: ignore[no-untyped-def]
+    duration, count, extra, white, sizes, times, seen, passed, gain, weight
+):
+    """Fill the filter of each block for two autoregressions, as `_filter` does for one."""
+    noise = white * white
+    v0 = sizes[0] * sizes[0]
+    v1 = sizes[1] * sizes[1]
+    p00 = v0
+    p01 = 0.0
+    p11 = v1
+    log_determinant = 0.0
+    known = np.full((2, int(count.max()) + 1 if count.size else 1, 5), -1.0)
+    for i in range(duration.size):
+        h = duration[i]
+        n = count[i]
+        for k in range(2):
+            of = known[k, int(n)]
+            if abs(h - of[0]) > 1e-6 * h:
+                of[0] = h
+                _of_length(h, n, times[k], of)
+        first = known[0, int(n)]
+        second = known[1, int(n)]
+        b0 = first[1]
+        b1 = second[1]
+        passed[0, i] = b0
+        passed[1, i] = b1
+        q00 = b0 * b0 * p00 + v0 * (1.0 - b0 * b0)
+        q01 = b0 * b1 * p01
+        q11 = b1 * b1 * p11 + v1 * (1.0 - b1 * b1)
+        if n > 0.0:
+            a0 = first[2]
+            a1 = second[2]
+            r0 = p00 * a0 + p01 * a1
+            r1 = p01 * a0 + p11 * a1
+            s = a0 * r0 + a1 * r1 + v0 * first[3] + v1 * second[3] + noise / n + extra[i]
+            c0 = b0 * r0 + v0 * first[4]
+            c1 = b1 * r1 + v1 * second[4]
+            w = 1.0 / np.sqrt(s)
+            g0 = c0 * w * w
+            g1 = c1 * w * w
+            seen[0, i] = a0
+            seen[1, i] = a1
+            gain[0, i] = g0
+            gain[1, i] = g1
+            weight[i] = w
+            log_determinant += np.log(s)
+            q00 = max(q00 - g0 * c0, 0.0)
+            q01 -= g0 * c1
+            q11 = max(q11 - g1 * c1, 0.0)
+        else:
+            seen[:, i] = 0.0
+            gain[:, i] = 0.0
+            weight[i] = 0.0
+        p00 = q00
+        p01 = q01
+        p11 = q11
+    return log_determinant
+
+
+@kernel()
+def _whiten_two(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
+    """Fill the innovations of each row over their standard deviations, two states deep."""
+    for j in range(rows.shape[0]):
+        a = 0.0
+        b = 0.0
+        for i in range(weight.size):
+            new = rows[j, i] - seen[0, i] * a - seen[1, i] * b
+            out[j, i] = new * weight[i]
+            a = passed[0, i] * a + gain[0, i] * new
+            b = passed[1, i] * b + gain[1, i] * new
 
 
 @kernel()
@@ -219,9 +318,9 @@ def _whiten(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-d
 
 
 @kernel(fastmath={'reassoc', 'contract'})
-def _products(seen, passed, gain, weight, columns, out):  # type: ignore[no-untyped-def]
-    """Add up the products of the whitened columns, two by two, in the upper half of `out`."""
-    count = columns.shape[1]
+def _products(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
+    """Add up the products of the whitened rows, two by two, in the upper half of `out`."""
+    count = rows.shape[0]
     state = np.zeros(count)
     # As many blocks at a time as stay near: then the products go side by side.
     white = np.empty((count, _NEAR))
@@ -233,7 +332,7 @@ def _products(seen, passed, gain, weight, columns, out):  # type: ignore[no-unty
             w = weight[first + i]
             carry = passed[first + i] - g * a
             for j in range(count):
-                r = columns[first + i, j]
+                r = rows[j, first + i]
                 white[j, i] = (r - a * state[j]) * w
                 state[j] = carry * state[j] + g * r
         for j in range(count):
@@ -246,7 +345,7 @@ def _products(seen, passed, gain, weight, columns, out):  # type: ignore[no-unty
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """The filter that makes a record's noise white and of unit variance."""
+    """The filter that makes a record's noise, of one memory or two, white and of unit size."""
 
     seen: FloatArray
     passed: FloatArray
@@ -257,8 +356,18 @@ class Whitener:
     def __call__(self, rows: FloatArray) -> FloatArray:
         """Return the whitened rows, shape (k, n): residuals and derivatives of block means."""
         out = np.empty(rows.shape)
-        _whiten(self.seen, self.passed, self.gain, self.weight, rows, out)
+        whiten = _whiten if self.seen.ndim == 1 else _whiten_two
+        whiten(self.seen, self.passed, self.gain, self.weight, rows, out)
         return out
+
+    def products(self, rows: FloatArray) -> FloatArray:
+        """Return the products of the whitened rows, shape (k, k), upper half."""
+        products = np.zeros((rows.shape[0],) * 2)
+        if self.seen.ndim == 1:
+            _products(self.seen, self.passed, self.gain, self.weight, rows, products)
+            return products
+        white = self(rows)
+        return np.asarray(white @ white.T)
 
 
 def whitener(blocks: Blocks, noise: SensorNoise) -> Whitener:
@@ -279,7 +388,23 @@ def whitener(blocks: Blocks, noise: SensorNoise) -> Whitener:
 
     """
     n = blocks.count.size
-    seen, passed, gain, weight = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    weight = np.empty(n)
+    if noise.wander > 0.0:
+        seen, passed, gain = np.empty((3, 2, n))
+        log_determinant = _filter_two(
+            blocks.duration,
+            blocks.count,
+            blocks.extra,
+            noise.white,
+            np.array([noise.slow, noise.wander]),
+            np.array([noise.correlation_time, noise.wander_time]),
+            seen,
+            passed,
+            gain,
+            weight,
+        )
+        return Whitener(seen, passed, gain, weight, log_determinant)
+    seen, passed, gain = np.empty((3, n))
     log_determinant = _filter(
         blocks.duration,
         blocks.count,
@@ -328,9 +453,9 @@ class _Pile:
         for record in records:
             last = first + (0 if bare else record.own.shape[0])
             rows = () if bare else (record.shared, record.own)
-            columns = np.vstack((*rows, record.residual[np.newaxis])).T.copy()
+            stacked = np.vstack((*rows, record.residual[np.newaxis]))
             place = np.concatenate((np.arange(shared), np.arange(first, last)))
-            self.records.append((record.blocks, columns, place))
+            self.records.append((record.blocks, stacked, place))
             self.samples += int(np.count_nonzero(record.blocks.count))
             first = last
         self.parameters = first
@@ -355,7 +480,7 @@ def estimate(
     records : sequence of Record
         The residuals, all of one sensor.
     start : SensorNoise
-        A first guess.
+        A first guess; how its zero wanders is taken for known.
     interval : float
         Usual interval between two samples [s].
     everywhere : bool
@@ -379,9 +504,10 @@ def estimate(
         share, log_time = point
         if not limits[0] <= log_time <= limits[1]:
             return math.inf
-        return _restricted(given, _split(share, math.exp(log_time), start.std))[0]
+        return _restricted(given, _split(share, math.exp(log_time), start))[0]
 
-    slow, white = max(start.slow, 1e-9 * start.std), max(start.white, 1e-9 * start.std)
+    quick = math.hypot(start.white, start.slow)
+    slow, white = max(start.slow, 1e-9 * quick), max(start.white, 1e-9 * quick)
     point = np.array([2.0 * math.log(slow / white), math.log(start.correlation_time)])
     point[1] = np.clip(point[1], *limits)
     size = 0.4
@@ -392,9 +518,62 @@ def estimate(
         point = min((*grid, point), key=lambda at: cost(at, bare))
         size = 1.0
     point = _simplex(cost, point, size)
-    relative = _split(point[0], math.exp(point[1]), start.std)
+    relative = _split(point[0], math.exp(point[1]), start)
     _, level = _restricted(pile, relative)
-    return SensorNoise(level * relative.white, level * relative.slow, relative.correlation_time)
+    return replace(relative, white=level * relative.white, slow=level * relative.slow)
+
+
+def wandering(
+    records: Sequence[Record],
+    noise: SensorNoise,
+    interval: float,
+    longest: float,
+    *,
+    at_least: float,
+) -> SensorNoise | None:
+    """
+    Estimate how the zero wanders beside a noise that forgets soon.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Force without contact: what a model lacks would pass for a zero that wanders.
+    noise : SensorNoise
+        The noise of the best fit whose zero does not.
+    interval : float
+        Usual interval between two samples [s].
+    longest : float
+        Longest correlation time of the rest [s].
+    at_least : float
+        Fall of the deviance at a first look below which the zero is taken not to wander.
+
+    Returns
+    -------
+    SensorNoise or None
+        Noise with a zero that wanders.
+
+    """
+    pile = _Pile(records)
+    span = max(float(record.blocks.duration.sum()) for record in records)
+    limits = (math.log(longest), math.log(_WANDERS * span))
+
+    def cost(point: FloatArray) -> float:
+        if not limits[0] <= point[1] <= limits[1] or abs(point[0]) > _LOG_SIZES:
+            return math.inf
+        size = noise.std * math.exp(point[0])
+        wanders = replace(noise, wander=size, wander_time=math.exp(point[1]))
+        return _restricted(pile, wanders)[0]
+
+    grid = [np.array([size, time]) for size in _SIZES for time in np.linspace(*limits, 3)]
+    if limits[1] <= limits[0] or _restricted(pile, noise)[0] - min(map(cost, grid)) < at_least:
+        return None
+    for _ in range(_TURNS):
+        point = _simplex(cost, min(grid, key=cost), 0.7)
+        size, time = noise.std * math.exp(point[0]), math.exp(point[1])
+        _, level = _restricted(pile, replace(noise, wander=size, wander_time=time))
+        noise = replace(noise, wander=level * size, wander_time=time)
+        noise = estimate(records, noise, interval, longest=longest)
+    return noise
 
 
 def deviance(records: Sequence[Record], noise: SensorNoise) -> float:
@@ -402,11 +581,15 @@ def deviance(records: Sequence[Record], noise: SensorNoise) -> float:
     return _restricted(_Pile(records), noise)[0]
 
 
-def _split(log_ratio: float, correlation_time: float, std: float) -> SensorNoise:
-    """Return noise of a given size for the logarithm of slow over white variance."""
+def _split(log_ratio: float, correlation_time: float, like: SensorNoise) -> SensorNoise:
+    """Return noise of the size of another for the logarithm of slow over white variance."""
     share = 1.0 / (1.0 + math.exp(-min(max(log_ratio, -30.0), 30.0)))
-    return SensorNoise(
-        std * math.sqrt(max(1.0 - share, 1e-12)), std * math.sqrt(share), correlation_time
+    quick = math.hypot(like.white, like.slow)
+    return replace(
+        like,
+        white=quick * math.sqrt(max(1.0 - share, 1e-12)),
+        slow=quick * math.sqrt(share),
+        correlation_time=correlation_time,
     )
 
 
@@ -415,10 +598,9 @@ def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
     normal = np.zeros((pile.parameters, pile.parameters))
     gradient = np.zeros(pile.parameters)
     squares, log_determinant, samples = 0.0, 0.0, pile.samples
-    for blocks, columns, place in pile.records:
+    for blocks, rows, place in pile.records:
         filter_ = whitener(blocks, noise)
-        products = np.zeros((columns.shape[1],) * 2)
-        _products(filter_.seen, filter_.passed, filter_.gain, filter_.weight, columns, products)
+        products = filter_.products(rows)
         normal[place[:, np.newaxis], place] += products[:-1, :-1]
         gradient[place] += products[:-1, -1]
         squares += float(products[-1, -1])

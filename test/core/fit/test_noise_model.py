@@ -14,11 +14,15 @@
 
 """Whitening of means over blocks is exact, and the restricted likelihood finds the noise."""
 
+import math
+
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
+    deviance,
     estimate,
     Record,
     SensorNoise,
+    wandering,
     whitener,
 )
 import numpy as np
@@ -31,7 +35,8 @@ INTERVAL = 1e-3
 def _covariance(noise: SensorNoise, samples: int) -> np.ndarray:
     lag = np.abs(np.subtract.outer(np.arange(samples), np.arange(samples)))
     slow = noise.slow**2 * np.exp(-lag * INTERVAL / noise.correlation_time)
-    return slow + noise.white**2 * np.eye(samples)
+    wander = noise.wander**2 * np.exp(-lag * INTERVAL / noise.wander_time)
+    return slow + wander + noise.white**2 * np.eye(samples)
 
 
 def _blocks(counts: list[int]) -> tuple[Blocks, np.ndarray]:
@@ -41,10 +46,13 @@ def _blocks(counts: list[int]) -> tuple[Blocks, np.ndarray]:
     return Blocks(count * INTERVAL, count, np.zeros(count.size)), mean
 
 
+@pytest.mark.parametrize('wander', [0.0, 0.9])
 @pytest.mark.parametrize('correlation_time', [1e-4, 5e-3, 3.0])
-def test_whitening_means_is_that_of_the_full_covariance(correlation_time: float) -> None:
+def test_whitening_means_is_that_of_the_full_covariance(
+    correlation_time: float, wander: float
+) -> None:
     """The filter's squares and determinant are those of the dense matrix."""
-    noise = SensorNoise(0.7, 1.3, correlation_time)
+    noise = SensorNoise(0.7, 1.3, correlation_time, wander, 0.1)
     blocks, mean = _blocks([1, 1, 2, 3, 7, 16, 17, 40, 40, 5, 1])
     covariance = mean @ _covariance(noise, mean.shape[1]) @ mean.T
     lower = cholesky(covariance, lower=True)
@@ -55,6 +63,10 @@ def test_whitening_means_is_that_of_the_full_covariance(correlation_time: float)
         filter_(rows), solve_triangular(lower, rows.T, lower=True).T, rtol=1e-6, atol=1e-7
     )
     assert filter_.log_determinant == pytest.approx(2.0 * np.log(np.diag(lower)).sum(), rel=1e-7)
+    white = filter_(rows)
+    np.testing.assert_allclose(
+        np.triu(filter_.products(rows)), np.triu(white @ white.T), atol=1e-9
+    )
 
 
 def test_a_block_without_samples_tells_nothing() -> None:
@@ -100,6 +112,41 @@ def test_level_and_memory_come_back_from_a_residual(true: SensorNoise) -> None:
     if true.slow > 0.5:
         # The memory of 24,000 samples is known to about a tenth.
         assert found.correlation_time == pytest.approx(true.correlation_time, rel=0.3)
+
+
+def _silence(wander: float, drift: float) -> list[Record]:
+    """Return the force without contact of some trials, before and after a push."""
+    samples, records = 3000, []
+    for seed in range(12):
+        value = _noise(SensorNoise(1.0, 1.0, 3.0 * INTERVAL), samples, seed)
+        if wander:
+            value += _noise(SensorNoise(0.0, wander, 2000.0 * INTERVAL), samples, 100 + seed)
+        since = np.arange(samples) * INTERVAL
+        value += drift * since
+        blocks = Blocks(np.full(samples, INTERVAL), np.ones(samples), np.zeros(samples))
+        rest = value - value.mean()
+        records.append(Record(blocks, rest, since[np.newaxis], np.ones((1, samples))))
+    return records
+
+
+def test_a_zero_that_wanders_is_told_from_noise_that_forgets() -> None:
+    records, longest = _silence(0.5, 0.0), 50.0 * INTERVAL
+    brief = estimate(records, SensorNoise(1.0, 1.0, 10.0 * INTERVAL), INTERVAL, longest=longest)
+    found = wandering(records, brief, INTERVAL, longest, at_least=6.0)
+    assert found is not None
+    assert deviance(records, brief) - deviance(records, found) > 100.0
+    # Records of 1.5 correlation times tell how fast it wanders, hardly how far.
+    assert found.wander**2 / found.wander_time == pytest.approx(0.5**2 / 2.0, rel=0.3)
+    assert math.hypot(found.white, found.slow) == pytest.approx(math.sqrt(2.0), rel=0.1)
+
+
+def test_neither_silence_nor_a_drift_that_all_trials_share_wanders() -> None:
+    longest = 50.0 * INTERVAL
+    for drift in (0.0, 1.0 / INTERVAL / 3000.0):
+        records = _silence(0.0, drift)
+        start = SensorNoise(1.0, 1.0, 10.0 * INTERVAL)
+        brief = estimate(records, start, INTERVAL, longest=longest)
+        assert wandering(records, brief, INTERVAL, longest, at_least=6.0) is None
 
 
 def test_the_likelihood_allows_for_what_a_fit_takes_out() -> None:
