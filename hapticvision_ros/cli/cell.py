@@ -39,6 +39,7 @@ NODES: Final = (
     ORCHESTRATOR,
 )
 WORLD: Final = 'simulated_world'
+WORLD_MODULE: Final = 'hapticvision_ros.sim.server'
 CLIENT: Final = 'experiment_client'
 WORLD_CONFIG: Final = 'sim_world.yaml'
 NEEDS_WORLD: Final = ('range_sensor_driver', 'load_cell_driver', ARM, ORCHESTRATOR)
@@ -97,8 +98,8 @@ def run(args: argparse.Namespace) -> int:
     """Start the cell and return the exit code."""
     _check(args)
     with Supervisor(ros_environment(args.domain)) as supervisor:
-        port = _start_world(supervisor, args)
-        nodes = {name: _node(name, port, args.config) for name in NODES}
+        port = start_world(supervisor, WORLD_MODULE, *_world_options(args))
+        nodes = {name: node_command(name, port, args.config) for name in NODES}
         supervisor.start(nodes, restarts=RESTARTS)
         if not args.run:
             return supervisor.wait()
@@ -183,19 +184,21 @@ def _file(folder: Path | None, name: str) -> Path | None:
     return folder / name if folder is not None and (folder / name).is_file() else None
 
 
-def _start_world(supervisor: Supervisor, args: argparse.Namespace) -> int:
-    """Start the simulated world and return its port."""
+def _world_options(args: argparse.Namespace) -> list[str]:
     options = ['--object', args.object]
     config = _file(args.config, WORLD_CONFIG)
-    if config is not None:
-        options += ['--config', str(config)]
-    supervisor.start({WORLD: program('hapticvision_ros.sim.server', *options)})
+    return options if config is None else [*options, '--config', str(config)]
+
+
+def start_world(supervisor: Supervisor, module: str, *options: str) -> int:
+    """Start a simulated world and return its port."""
+    supervisor.start({WORLD: program(module, *options)})
     line = supervisor.wait_for_line(WORLD, 'ready ', WORLD_DEADLINE)
     return int(line.split()[1])
 
 
-def _node(name: str, port: int, folder: Path | None) -> list[str]:
-    """Return the command of a node with its parameters."""
+def node_command(name: str, port: int, folder: Path | None) -> list[str]:
+    """Return the command of a node with its parameters, those of a file in `folder` as well."""
     options = ['--ros-args']
     config = _file(folder, f'{name}.yaml')
     if config is not None:

@@ -51,6 +51,7 @@ VERBS: Final = {
     'export': Verb('export', 'write a fitted model for finite-element codes and simulators'),
     'demo': Verb('demo', 'run an experiment on the simulated cell, fit it and real data'),
     'cell': Verb('cell', "start the cell's nodes"),
+    'faults': Verb('faults', 'show what happens to the cell when something goes wrong'),
     'replay': Verb('replay', 'play a bag through the nodes'),
 }
 

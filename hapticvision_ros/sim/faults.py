@@ -178,6 +178,7 @@ class FaultyServer(WorldServer):
         self._lowest = self._truth.tool_height
         self._last_height = self._truth.tool_height
         self._marked: float | None = None
+        self._mark_at: float | None = None
         self._went_down = 0.0
         self._touched = 0.0
 
@@ -186,6 +187,8 @@ class FaultyServer(WorldServer):
         force = self._truth.contact_force
         self._peak_force = max(self._peak_force, abs(force))
         self._lowest = min(self._lowest, height)
+        if self._mark_at is not None and abs(force) > self._mark_at:
+            self._marked, self._mark_at = now, None
         if height < self._last_height - LEAST_DESCENT:
             self._went_down = now
         self._last_height = height
@@ -223,6 +226,9 @@ class FaultyServer(WorldServer):
             case {'request': 'mark'}:
                 self._marked = time.monotonic()
                 return {'answer': 'mark'}
+            case {'request': 'mark_at', 'force': float() as force}:
+                self._mark_at = force
+                return {'answer': 'mark_at'}
             case {'request': 'report'}:
                 return {'answer': 'report', **self._told()}
         return super()._handle(message, sender, now)

@@ -1,0 +1,158 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``hapticvision faults``: what happens to a cell when something goes wrong, as a table."""
+
+import argparse
+from datetime import datetime
+from pathlib import Path
+import random
+from typing import Any, Final
+
+from hapticvision_ros.cli.cell import (
+    ARM,
+    CLIENT_GRACE,
+    node_command,
+    NODES,
+    ORCHESTRATOR,
+    start_world,
+    WORLD_CONFIG,
+)
+from hapticvision_ros.cli.processes import program, ros_environment, Supervisor
+from hapticvision_ros.cli.replay import check_domain
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.share import share_folder
+
+CLIENT: Final = 'fault_campaign'
+LARGEST_DOMAIN: Final = 101
+RESTARTS: Final = 100
+FORCE_LIMIT: Final = 20.0
+"""A quick push of the campaign takes about half of it [N]."""
+QUICK: Final[dict[str, dict[str, Any]]] = {
+    'range_sensor_driver': {'width': 160, 'height': 120},
+    'contact_point_planner': {'clouds': 1},
+    ARM: {
+        'push_speed': 0.01,
+        'approach_speed': 0.03,
+        'release_speed': 0.02,
+        'clearance': 0.008,
+        'retract_height': 0.050,
+        'zero_time': 0.1,
+        'max_force': FORCE_LIMIT,
+        'stale_time': 0.3,
+        'frozen_time': 0.3,
+        'heartbeat_time': 0.7,
+    },
+    ORCHESTRATOR: {
+        'speeds': [0.01],
+        'depths': [0.006],
+        'hold_time': 0.6,
+        'recover_time': 0.4,
+        'rest_time': 0.0,
+        'service_deadline': 20.0,
+        'approach_deadline': 8.0,
+        'push_margin': 5.0,
+        'stream_deadline': 0.8,
+        'retry_period': 0.1,
+        'feedback_period': 0.5,
+        'least_room': 0,
+    },
+}
+"""Pushes of about two seconds, and deadlines to match."""
+START_HEIGHT: Final = 0.052
+RATES: Final = ('--force-rate', '500', '--arm-rate', '250', '--range-rate', '10')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument(
+        '--out',
+        type=Path,
+        default=Path('out', 'faults'),
+        metavar='DIR',
+        help='where each run makes a folder of its own for its bags (default: out/faults)',
+    )
+    parser.add_argument(
+        '--page', type=Path, metavar='FILE', help='where the table goes (default: into the folder)'
+    )
+    parser.add_argument(
+        '--only',
+        nargs='+',
+        metavar='TEXT',
+        default=[],
+        help='only the faults whose line in --list contains one of these texts',
+    )
+    parser.add_argument('--list', action='store_true', help='show the table without running it')
+    parser.add_argument(
+        '--domain', type=int, metavar='ID', help='ROS domain of the cell (default: by chance)'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the campaign and return the exit code: 0 if all faults are safe."""
+    from hapticvision_ros.core.faults import table
+
+    names = [f'{fault.name} in {fault.phase}' for fault in table()]
+    chosen = [name for name in names if not args.only or any(x in name for x in args.only)]
+    if not chosen:
+        raise UsageError(f'--only {" ".join(args.only)} fits no fault: see --list.')
+    if args.list:
+        print('\n'.join(chosen))
+        return 0
+    check_domain(args.domain)
+    domain = random.randint(1, LARGEST_DOMAIN) if args.domain is None else args.domain
+    out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
+    config = out / 'config'
+    _write_config(config)
+    page = args.page or out / 'faults.md'
+    environment = ros_environment(domain)
+    environment['OMP_NUM_THREADS'] = '1'
+    with Supervisor(environment) as supervisor:
+        options = ('--object', 'soft_dough', '--config', str(config / WORLD_CONFIG), *RATES)
+        port = start_world(supervisor, 'hapticvision_ros.sim.faults', *options)
+        nodes = {name: node_command(name, port, config) for name in NODES}
+        supervisor.start(nodes, restarts=RESTARTS)
+        command = program(
+            f'hapticvision_ros.nodes.{CLIENT}',
+            *('--port', str(port), '--out', str(out), '--page', str(page)),
+            *('--force-limit', str(FORCE_LIMIT), '--only', *args.only),
+        )
+        supervisor.start({CLIENT: command}, labelled=False, grace=CLIENT_GRACE)
+        return supervisor.wait(CLIENT)
+
+
+def _write_config(folder: Path) -> None:
+    """
+    Write the parameters in which the campaign differs from the package's own.
+
+    Raises
+    ------
+    InputError
+        If they cannot be written.
+
+    """
+    import yaml
+
+    try:
+        folder.mkdir(parents=True)
+        for name, values in QUICK.items():
+            text = yaml.safe_dump({'/**': {'ros__parameters': values}})
+            (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
+        world = yaml.safe_load((share_folder() / 'config' / WORLD_CONFIG).read_text())
+        world['arm']['start_height'] = START_HEIGHT
+        (folder / WORLD_CONFIG).write_text(yaml.safe_dump(world), encoding='utf-8')
+    except OSError as error:
+        raise InputError(
+            f'{folder} cannot be written ({error.strerror}): choose another --out.'
+        ) from error
