@@ -1,0 +1,92 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The table of faults and its verdicts."""
+
+from dataclasses import replace
+
+from hapticvision_ros.core.faults import (
+    ARM,
+    COLUMNS,
+    Fault,
+    markdown,
+    Measured,
+    NODES,
+    PHASES,
+    row,
+    table,
+    verdict,
+)
+import pytest
+
+MUST_STOP = Fault('distort', 'force', 'push', 'silent')
+MAY_GO_ON = Fault('kill', 'phase_segmenter', 'push', must_stop=False)
+GOOD = Measured(
+    outcome='aborted',
+    peak_force=12.0,
+    force_limit=20.0,
+    stopped=0.3,
+    clear=0.4,
+    bag_expected=True,
+    readable=True,
+    kept=2.0,
+    lost=0.1,
+)
+
+
+def test_each_node_dies_in_each_phase():
+    killed = {(fault.target, fault.phase) for fault in table() if fault.action == 'kill'}
+    assert killed == {(node, phase) for node in NODES for phase in PHASES}
+
+
+def test_the_table_has_at_least_sixty_cells_and_none_twice():
+    lines = [f'{fault.name} in {fault.phase}' for fault in table()]
+    assert len(lines) == len(set(lines)) >= 60
+
+
+def test_what_is_as_it_has_to_be_is_safe():
+    assert verdict(MUST_STOP, GOOD) == 'safe'
+
+
+@pytest.mark.parametrize(
+    ('change', 'said'),
+    [
+        ({'peak_force': 22.1}, 'too much force'),
+        ({'stopped': 1.6}, 'went on'),
+        ({'clear': None}, 'left in contact'),
+        ({'readable': False}, 'bag does not read back'),
+        ({'lost': 1.1}, 'data lost'),
+        ({'trouble': 'the moon fell down'}, 'the moon fell down'),
+    ],
+)
+def test_what_is_not_is_named(change, said):
+    assert verdict(MUST_STOP, replace(GOOD, **change)) == said
+
+
+def test_a_fault_that_need_not_stop_the_push_may_let_it_go_on():
+    assert verdict(MAY_GO_ON, replace(GOOD, stopped=5.0)) == 'safe'
+
+
+def test_without_a_recording_no_bag_is_asked_for():
+    assert verdict(MUST_STOP, replace(GOOD, bag_expected=False, readable=False)) == 'safe'
+
+
+def test_the_force_over_the_limit_is_told():
+    texts = row(Fault('kill', ARM, 'push'), replace(GOOD, peak_force=20.5))
+    told = dict(zip(COLUMNS, texts, strict=True))
+    assert (told['fault'], told['over limit [N]']) == ('arm_push_controller killed', '0.50')
+    assert told['verdict'] == 'safe'
+    page = markdown([texts]).splitlines()
+    assert page[1] == '|' + ' --- |' * len(COLUMNS)
+    assert page[2].startswith('| arm_push_controller killed | push | aborted | 20.50 | 0.50 |')
