@@ -69,6 +69,8 @@ setup(
         'console_scripts': [
             'hapticvision = hapticvision_ros.cli.main:main',
             'simulated_world = hapticvision_ros.sim.server:main',
+            'emulate_net_ft = hapticvision_ros.sim.emulators.net_ft:main',
+            'emulate_serial_cell = hapticvision_ros.sim.emulators.serial_cell:main',
             *(f'{node} = {NAME}.nodes.start:main' for node in (*NODES, *TOOLS)),
         ],
     },

@@ -328,9 +328,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--loss', type=float, default=0.0, help='share of the records to lose')
     parser.add_argument('--delay', type=float, default=0.0, help='longest delay of a record [s]')
     arguments = parser.parse_args(argv)
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
     world: WorldSource | None = None
     try:
         if not 1 <= arguments.rate <= INTERNAL_RATE:
@@ -347,6 +344,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f'emulate_net_ft: {error}', file=sys.stderr)
         return error.exit_code
     emulator.faults.loss, emulator.faults.delay = arguments.loss, arguments.delay
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
     print(f'ready {emulator.port} {emulator.http_port}', flush=True)
     stopped.wait()
     emulator.close()

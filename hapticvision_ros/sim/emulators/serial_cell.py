@@ -230,6 +230,17 @@ class SerialCellEmulator:
             self._buffer = b''
 
 
+def _check(template: str) -> None:
+    """Refuse a line that tells no reading."""
+    try:
+        said = template.format(raw=4711, counter=1)
+        said.encode('ascii')
+    except (LookupError, ValueError):
+        said = ''
+    if '4711' not in said:
+        raise DeviceError(f'--template {template!r} holds no {{raw}}, or cannot be sent as ASCII')
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the ``emulate_serial_cell`` command and return its exit code."""
     parser = argparse.ArgumentParser(
@@ -243,13 +254,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--checksum', action='store_true', help='end each line with a checksum')
     parser.add_argument('--world', type=int, metavar='PORT', help='simulated world to measure in')
     arguments = parser.parse_args(argv)
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
     world: WorldSource | None = None
     try:
         if not 1.0 <= arguments.rate <= 1000.0:
             raise DeviceError('--rate must lie in 1 to 1000')
+        _check(arguments.template)
         if arguments.world is not None:
             world = WorldSource(arguments.world)
         firmware = Firmware(
@@ -259,6 +268,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except HapticVisionError as error:
         print(f'emulate_serial_cell: {error}', file=sys.stderr)
         return error.exit_code
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
     print(f'ready {emulator.link}', flush=True)
     stopped.wait()
     emulator.close()
