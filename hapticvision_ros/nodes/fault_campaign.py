@@ -81,8 +81,8 @@ NAME: Final = 'fault_campaign'
 PATIENCE: Final = 3.0
 """Time after which a request is sent again: its server may have been killed meanwhile [s]."""
 ANSWER_DEADLINE: Final = 40.0
-DEAF_AFTER: Final = 25.0
-"""An orchestrator that has not answered with so much left of the deadline is started again [s]."""
+DEAF_AFTER: Final = 15.0
+"""An orchestrator that has not answered for so long is started again [s]."""
 PHASE_DEADLINE: Final = 40.0
 END_DEADLINE: Final = 40.0
 """How long an experiment may take to end after the fault [s]."""
@@ -343,6 +343,7 @@ class Campaign:
 
     def _call(self, client: Any, request: Any, what: str) -> Any:
         end = time.monotonic() + ANSWER_DEADLINE
+        again = time.monotonic() + DEAF_AFTER
         while time.monotonic() < end:
             if not self._until(client.service_is_ready, PATIENCE):
                 continue
@@ -350,9 +351,9 @@ class Campaign:
             if self._until(future.done, PATIENCE):
                 return future.result()
             client.remove_pending_request(future)
-            if what.endswith(ORCHESTRATOR) and time.monotonic() > end - DEAF_AFTER:
+            if what.endswith(ORCHESTRATOR) and time.monotonic() > again:
                 # Its middleware may have found the remains of the one before it.
-                end = time.monotonic() + ANSWER_DEADLINE - DEAF_AFTER
+                again = end
                 self.second_restarts += 1
                 os.kill(process_of(ORCHESTRATOR), signal.SIGKILL)
         raise HapticVisionError(f'{what}: no answer within {ANSWER_DEADLINE:g} s.')
