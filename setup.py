@@ -34,7 +34,7 @@ NODES = (
 
 WHAT_RUNS = (HERE / 'requirements.in').read_text().partition('# What checks.')[0]
 REQUIREMENTS = [line for line in WHAT_RUNS.splitlines() if not line.startswith('#')]
-TOOLS = ('bag_player', 'experiment_client')
+TOOLS = ('bag_player', 'experiment_client', 'velocity_watchdog')
 
 
 def shared(folder: str, pattern: str) -> tuple[str, list[str]]:
