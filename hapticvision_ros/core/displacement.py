@@ -18,6 +18,10 @@ The paper's displacement height H, from clouds: original height minus height now
 The tool hides the dent while it is down. The surface is seen again once the tool has risen above
 it; the median height within a small radius of the contact axis is then compared with the same
 before the push.
+
+Heights are over the support plane as each frame shows it: a sensor that drifts, sinks or is
+knocked moves plane and surface alike. Which pixels see the plane is found once; a frame then costs
+a fit to some thousand of them.
 """
 
 from collections.abc import Iterable
@@ -29,6 +33,20 @@ from hapticvision_ros.core.planning import plan_contact
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
 from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane, LARGEST_OFFSET
 import numpy as np
+from numpy.typing import NDArray
+
+type IndexArray = NDArray[np.intp]
+
+_PLANE_ROUNDS: Final = 3
+_LEAST_ON_PLANE: Final = 0.5
+"""Less than this share of the plane's pixels on one plane is none."""
+_PLANE_MARGIN: Final = 4
+"""In pixels, from what is not of the plane."""
+_STRIDE: Final = 6
+_WIDER: Final = 4.0
+"""The patch is looked for at this many times its radius: what the tool leaves of it is whole."""
+_FLAT_SAMPLE: Final = 20000
+"""Points of a cloud without rows that the plane is looked for in."""
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
@@ -55,11 +73,21 @@ class DisplacementSettings:
     least_points : int
         Fewest points in the patch.
     least_share : float
-        Fewest points in the patch, as a share of those before the push: a patch that is seen
-        only at its rim is still behind the tool.
+        Fewest points in the patch, as a share of those before the push, less what this frame has
+        lost of the support plane too: a patch that is seen only at its rim is still behind the
+        tool.
     least_frames, most_frames : int
         Frames before the push over which the original height is taken: H is unknown before the
         least, the most end it.
+    plane_pixels : int
+        Most pixels that the support plane is followed by.
+    least_plane_pixels : int
+        With fewer, and as few returns from them in a frame, it is not seen.
+    plane_tolerance : float
+        Half thickness of the plane [m]: a few times the sensor's noise.
+    largest_shift, largest_tilt : float
+        A plane that has moved further than this since the first frame [m], [rad] is refused: what
+        the contact axis points at is then not known any more.
 
     """
 
@@ -71,6 +99,11 @@ class DisplacementSettings:
     least_share: float = 0.4
     least_frames: int = 3
     most_frames: int = 30
+    plane_pixels: int = 2000
+    least_plane_pixels: int = 100
+    plane_tolerance: float = 0.003
+    largest_shift: float = 0.01
+    largest_tilt: float = float(np.deg2rad(2.0))
 
 
 DEFAULT_DISPLACEMENT: Final = DisplacementSettings()
@@ -105,11 +138,15 @@ class DisplacementTracker:
         self._rotation = None if rotation is None else rotation.T.astype(np.float32)
         self._shift = None if shift is None else shift.astype(np.float32)
         self._region: tuple[slice, slice] | None = None
-        self._region_shape: tuple[int, ...] | None = None
+        self._shape: tuple[int, ...] | None = None
+        self._plane_pixels: IndexArray | None = None
+        self._plane: FloatArray | None = None
+        self._first_level: float | None = None
         self._heights: list[float] = []
-        self._counts: list[int] = []
+        self._counts: list[float] = []
         self._pushed = False
         self._lowest_tool_height = np.inf
+        self._reason = 'no frame has come yet'
 
     @property
     def original_height(self) -> float | None:
@@ -143,13 +180,15 @@ class DisplacementTracker:
 
         """
         if tool_height is None or not np.isfinite(tool_height):
+            self._reason = 'the height of the tool is not known'
             return None
         settings = self._settings
-        surface = self._surface(xyz, tool_height)
-        if surface is None:
-            height, count = None, 0
-        else:
-            height, count = surface
+        if self._shape != xyz.shape:
+            self._find_pixels(xyz)
+            self._shape = xyz.shape
+        seen = self._follow_plane(xyz)
+        surface = None if seen is None else self._surface(xyz, tool_height)
+        height, count = surface if surface is not None else (None, 0)
         original = self.original_height
         level = height if height is not None else original
         self._lowest_tool_height = min(self._lowest_tool_height, tool_height)
@@ -158,53 +197,156 @@ class DisplacementTracker:
             if self._lowest_tool_height - level < settings.tool_clearance:
                 self._pushed = True
             if tool_height - level < settings.tool_clearance:
+                self._reason = 'the tool is down'
                 return None
-        if height is None or count < settings.least_points:
+        if seen is None:
             return None
+        if height is None or count < settings.least_points:
+            self._reason = f'{count} returns at the contact point are too few'
+            return None
+        # Returns that are lost all over the frame are no sign of the tool.
+        whole = count / seen
         if not self._pushed and len(self._heights) < settings.most_frames:
             self._heights.append(height)
-            self._counts.append(count)
+            self._counts.append(whole)
             original = self.original_height
-        if original is None or count < settings.least_share * float(np.median(self._counts)):
+        if original is None:
+            self._reason = 'the surface was not seen often enough before the push'
             return None
+        if whole < settings.least_share * float(np.median(self._counts)):
+            self._reason = 'the tool hides most of the contact point'
+            return None
+        self._reason = ''
         return original - height
+
+    @property
+    def reason(self) -> str:
+        """Why the last frame gave no height, in a few words; empty if it gave one."""
+        return self._reason
+
+    def _follow_plane(self, xyz: PointArray) -> float | None:
+        """Take the support plane from a frame; return which share of its pixels came back."""
+        settings = self._settings
+        if self._plane_pixels is not None:
+            points = xyz.reshape(-1, 3)[self._plane_pixels]
+        elif xyz.ndim == 3:
+            return 1.0
+        else:
+            points = xyz[:: max(len(xyz) // _FLAT_SAMPLE, 1)]
+        ground = self._levelled(finite_points(points)).astype(np.float64)
+        share = 1.0
+        if self._plane_pixels is None:
+            ground = ground[np.abs(ground[:, 2] - self._level_at(ground)) < LARGEST_OFFSET]
+        else:
+            share = len(ground) / len(self._plane_pixels)
+        if len(ground) < settings.least_plane_pixels:
+            if self._plane is None:
+                return 1.0
+            self._reason = 'the support plane is not seen'
+            return None
+        plane = self._fit_plane(ground)
+        if plane is None:
+            self._reason = 'the support plane is not seen'
+            return None
+        level = float(plane[0])
+        if self._first_level is None:
+            self._first_level = level
+        if abs(level - self._first_level) > settings.largest_shift or np.hypot(
+            plane[1], plane[2]
+        ) > np.tan(settings.largest_tilt):
+            self._reason = 'the range sensor or the support plane has moved'
+            return None
+        self._plane = plane
+        return share
+
+    def _fit_plane(self, points: FloatArray) -> FloatArray | None:
+        """Return height over the contact axis and the slopes; None if the points are no plane."""
+        slopes = np.stack(
+            (np.ones(len(points)), points[:, 0] - self._x, points[:, 1] - self._y), axis=1
+        )
+        start = np.zeros(3) if self._plane is None else self._plane
+        residual = points[:, 2] - slopes @ start
+        # A jump moves all alike; what stands before the plane is none of it.
+        residual -= np.median(residual)
+        inside = np.abs(residual) < LARGEST_OFFSET
+        for _ in range(_PLANE_ROUNDS):
+            if np.count_nonzero(inside) < max(_LEAST_ON_PLANE * len(points), 3):
+                return None
+            used = slopes[inside]
+            plane: FloatArray = np.linalg.lstsq(
+                used.T @ used, used.T @ points[inside, 2], rcond=None
+            )[0]
+            inside = np.abs(points[:, 2] - slopes @ plane) < self._settings.plane_tolerance
+        return plane
+
+    def _level_at(self, points: PointArray | FloatArray) -> FloatArray:
+        """Return the height of the support plane under points [m]."""
+        if self._plane is None:
+            return np.zeros(points.shape[:-1])
+        level, slope_x, slope_y = self._plane
+        under: FloatArray = (
+            level + slope_x * (points[..., 0] - self._x) + slope_y * (points[..., 1] - self._y)
+        )
+        return under
 
     def _surface(self, xyz: PointArray, tool_height: float) -> tuple[float, int] | None:
         """Return the median height of the patch below the tool and its number of points."""
         settings = self._settings
-        points = self._in_region(xyz)
+        points = xyz if self._region is None else self._window(xyz[self._region])
+        points = self._levelled(points)
         with np.errstate(over='ignore', invalid='ignore'):
-            dx = points[..., 0] - self._x
-            dy = points[..., 1] - self._y
-            z = points[..., 2]
-            patch = (dx * dx + dy * dy < settings.patch_radius**2) & (
-                z < tool_height - settings.tool_margin
-            )
-        # A comparison drops NaN, but not a return at minus infinity.
-        heights = z[patch & np.isfinite(z)]
+            patch = points[self._distance(points) < settings.patch_radius**2]
+            # A comparison drops NaN, but not a return at minus infinity.
+            patch = patch[np.isfinite(patch[:, 2])]
+            heights = patch[:, 2] - self._level_at(patch)
+        heights = heights[heights < tool_height - settings.tool_margin]
         if not heights.size:
             return None
         return float(np.median(heights)), int(heights.size)
 
-    def _in_region(self, xyz: PointArray) -> PointArray:
-        """Return the points that can see the dent, in the frame `support_plane`."""
-        if xyz.ndim != 3:
-            return self._levelled(xyz)
-        if self._region is None or self._region_shape != xyz.shape:
-            self._region = self._find_region(xyz)
-            self._region_shape = xyz.shape
-        return self._levelled(xyz[self._region])
-
-    def _find_region(self, xyz: PointArray) -> tuple[slice, slice]:
-        points = self._levelled(xyz)
+    def _window(self, region: PointArray) -> PointArray:
+        """Return the part of the region in which a look at every sixth pixel finds the patch."""
+        coarse = self._levelled(region[::_STRIDE, ::_STRIDE])
         with np.errstate(over='ignore', invalid='ignore'):
-            near = (points[..., 0] - self._x) ** 2 + (
-                points[..., 1] - self._y
-            ) ** 2 < self._settings.region_radius**2
+            near = self._distance(coarse) < (_WIDER * self._settings.patch_radius) ** 2
         rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
         if not rows.size:
-            return slice(0, 0), slice(0, 0)
-        return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            return region
+        row, column = max(rows[0] - 1, 0) * _STRIDE, max(columns[0] - 1, 0) * _STRIDE
+        end_row, end_column = (rows[-1] + 2) * _STRIDE, (columns[-1] + 2) * _STRIDE
+        return region[row:end_row, column:end_column]
+
+    def _distance(self, points: PointArray) -> PointArray:
+        """Return the squared distance of points from the contact axis [m^2]."""
+        dx = points[..., 0] - self._x
+        dy = points[..., 1] - self._y
+        squared: PointArray = dx * dx + dy * dy
+        return squared
+
+    def _find_pixels(self, xyz: PointArray) -> None:
+        """Find which pixels can see the dent, and which see the support plane."""
+        settings = self._settings
+        self._region, self._plane_pixels = None, None
+        if xyz.ndim != 3:
+            return
+        points = self._levelled(xyz)
+        with np.errstate(over='ignore', invalid='ignore'):
+            near = self._distance(points) < settings.region_radius**2
+            ground = np.abs(points[..., 2]) < LARGEST_OFFSET
+        rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+        if rows.size:
+            self._region = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        else:
+            self._region = slice(0, 0), slice(0, 0)
+        # Pixels next to anything else would change sides when the sensor is knocked.
+        inner = ground.copy()
+        for axis in (0, 1):
+            for step in (-_PLANE_MARGIN, _PLANE_MARGIN):
+                inner &= np.roll(ground, step, axis=axis)
+        pixels = np.flatnonzero(inner)
+        if pixels.size >= settings.least_plane_pixels:
+            step = max(pixels.size // settings.plane_pixels, 1)
+            self._plane_pixels = pixels[::step]
 
     def _levelled(self, points: PointArray) -> PointArray:
         if self._rotation is None or self._shift is None:
