@@ -71,6 +71,8 @@ QUICK: Final[dict[str, dict[str, Any]]] = {
 }
 """Pushes of about two seconds, and deadlines to match."""
 START_HEIGHT: Final = 0.052
+WATCHDOG: Final = 0.05
+"""A controller that is gone or held up is without command for so long [s]."""
 RATES: Final = ('--force-rate', '500', '--arm-rate', '250', '--range-rate', '10')
 
 
@@ -151,6 +153,7 @@ def _write_config(folder: Path) -> None:
             (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
         world = yaml.safe_load((share_folder() / 'config' / WORLD_CONFIG).read_text())
         world['arm']['start_height'] = START_HEIGHT
+        world['arm']['watchdog'] = WATCHDOG
         (folder / WORLD_CONFIG).write_text(yaml.safe_dump(world), encoding='utf-8')
     except OSError as error:
         raise InputError(

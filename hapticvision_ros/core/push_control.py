@@ -41,6 +41,9 @@ RETRACT_PATIENCE: Final = 2.0
 FROZEN_READINGS: Final = 10
 """Fewer readings of the very same force do not count as frozen, however long they take."""
 
+RISE_TIME: Final = 0.05
+"""Over about this time the rise of the force is averaged [s]."""
+
 FROZEN_TRAVEL: Final = 0.0005
 """A height that stays the very same while the tool is told to go so far is no height [m]."""
 
@@ -195,7 +198,9 @@ class PushLimits:
     Parameters
     ----------
     max_force : float
-        Largest magnitude of the contact force, as read [N].
+        Largest magnitude of the contact force [N], as it is read, and while the tool goes down
+        as it is going to be when the tool has come to rest: the rise since the last reading and
+        until then counts.
     max_speed : float
         Largest speed of the tool [m/s].
     max_depth : float
@@ -464,6 +469,7 @@ class PushControl:
         self._candidate_height = retract_height
         self._touch_readings = 0
         self._last_force = Reading(-inf, 0.0)
+        self._rise = 0.0
         self._changed = t
         self._same_readings = 0
         self._new_force = False
@@ -573,6 +579,10 @@ class PushControl:
         self._peak_force = max(self._peak_force, abs(force))
         if reading.t > self._last_force.t:
             self._new_force = True
+            elapsed = reading.t - self._last_force.t
+            if isfinite(elapsed):
+                change = (force - self._last_force.value) - self._rise * elapsed
+                self._rise += change / (elapsed + RISE_TIME)
             if force != self._last_force.value:
                 self._changed, self._same_readings = t, 0
             else:
@@ -603,6 +613,13 @@ class PushControl:
             self.abort(
                 f'The contact force of {force:.4g} N exceeds the limit of '
                 f'{limits.max_force:.4g} N.',
+                t,
+            )
+        elif self._told > 0.0 and abs(self._expected(t, force)) > limits.max_force:
+            self.abort(
+                f'The contact force was {force:.4g} N {(t - self._last_force.t) * 1e3:.3g} ms ago '
+                f'and changes by {self._rise:.3g} N/s: before the tool stands still it exceeds '
+                f'the limit of {limits.max_force:.4g} N.',
                 t,
             )
         elif t - self._started > limits.max_duration:
@@ -641,6 +658,10 @@ class PushControl:
                 f'{limits.max_depth * 1e3:.4g} mm.',
                 t,
             )
+
+    def _expected(self, t: float, force: float) -> float:
+        """Return the force with which a tool that is stopped now comes to rest [N]."""
+        return force + self._rise * (t - self._last_force.t + self._limits.stop_lead)
 
     def _advance(self, t: float, height: float, force: float | None) -> float:
         goal = self._goal
