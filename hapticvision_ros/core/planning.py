@@ -58,6 +58,8 @@ from hapticvision_ros.core.scene.viewpoint import (
 from hapticvision_ros.core.scene.views import Picture, Pose, View
 import numpy as np
 
+_ABOVE: Final = 1.0
+"""Height from which a levelled cloud is taken to be seen [m]: any above the objects."""
 _CUT_OFF: Final = (
     "The object reaches the border of the range sensor's image: move it to the middle."
 )
@@ -309,12 +311,12 @@ def touch_and_see(
     """
     merge = merge_views(views, settings.merge)
     points = np.concatenate(merge.clouds)
-    places = np.array([pose.translation for pose in merge.poses])
-    middle = places.mean(axis=0)
+    places = [
+        pose.apply(np.array([0.0, 0.0, _ABOVE if view.levelled else 0.0]))
+        for view, pose in zip(views, merge.poses, strict=True)
+    ]
     plane = fit_support_plane(
-        points,
-        settings.planning,
-        seen_from=(float(middle[0]), float(middle[1]), float(middle[2])),
+        points, settings.planning, seen_from=_triple(np.mean(places, axis=0))
     )
     to_plane = Pose(*plane.to_plane_frame())
     to_base = to_plane.inverse()
@@ -354,7 +356,7 @@ def touch_and_see(
     stability = check_push(body, base, base_seen, contact, normal, settings.push)
     refuse_unstable(stability, settings.push)
     viewpoint = choose_viewpoint(
-        body, symmetry, contact, settings.view, near=to_plane.apply(places[:1])[0]
+        body, symmetry, contact, settings.view, near=to_plane.apply(places[0])
     )
     warnings += _object_warnings(body, outline_seen, stability, viewpoint, settings)
     gravity = body.centre_of_gravity

@@ -27,7 +27,7 @@ from typing import Any, Final
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray
-from hapticvision_ros.core.scene.plane import finite_points
+from hapticvision_ros.core.scene.plane import finite_points, LARGEST_OFFSET
 from hapticvision_ros.core.scene.surface import make_surface, Surface
 from hapticvision_ros.core.scene.views import Pose, View
 import numpy as np
@@ -86,6 +86,9 @@ _ACROSS: Final = 0.4
 
 _LEAST_STEEPNESS: Final = 0.35
 """Least cosine between the line of sight and the normal of a face that ends."""
+
+_UPWARD: Final = 0.1
+"""Upward [m] against outward from the middle [m]: the plane itself faces up."""
 
 _EDGE_NEIGHBOURS: Final = 24
 
@@ -160,12 +163,18 @@ def merge_views(views: Sequence[View], settings: MergeSettings = DEFAULT_MERGE) 
         return Merge((poses[0].apply(clouds[0]),), tuple(poses), (0.0,), (0.0,), (1.0,), 0.0, 0.0)
     random = np.random.default_rng(settings.seed)
     surfaces, edges = [], []
-    for cloud, pose in zip(clouds, poses, strict=True):
+    for view, cloud, pose in zip(views, clouds, poses, strict=True):
+        place = None if view.levelled else pose.translation
         seen = make_surface(
-            pose.apply(cloud), voxel=settings.voxel, viewpoint=pose.translation, neighbours=16
+            pose.apply(cloud), voxel=settings.voxel, viewpoint=place, neighbours=16
         )
+        if place is None:
+            seen = _turned_outward(seen, pose)
+            # From an unknown place an edge looks like where a round body turns out of sight.
+            edges.append(_Edges(*np.empty((3, 0, 3))))
+        else:
+            edges.append(_find_edges(seen, place, settings.voxel))
         surfaces.append(_sample(seen, settings.points, random))
-        edges.append(_find_edges(seen, pose.translation, settings.voxel))
     corrections, overlaps, before, after = _refine(surfaces, edges, settings)
     shifts, turns = _relative(surfaces, corrections)
     for view, shift, turn, overlap in zip(views, shifts, turns, overlaps, strict=True):
@@ -212,6 +221,17 @@ def _relative(
     against = moves - others
     shifts, turns = (np.linalg.norm(against[:, part], axis=1) for part in np.s_[:3, 3:])
     return tuple(map(float, shifts)), tuple(map(float, turns))
+
+
+def _turned_outward(surface: Surface, pose: Pose) -> Surface:
+    """Return the surface with its normals away from the middle of what stands on the plane."""
+    levelled = pose.inverse().apply(surface.points)
+    standing = levelled[levelled[:, 2] > LARGEST_OFFSET]
+    middle = standing.mean(axis=0) if len(standing) else levelled.mean(axis=0)
+    away = np.stack((*(levelled - middle).T[:2], np.full(len(levelled), _UPWARD)), axis=1)
+    flip = np.sum((away @ pose.rotation.T) * surface.normals, axis=1) < 0.0
+    normals = np.where(flip[:, None], -surface.normals, surface.normals)
+    return Surface(surface.points, normals, surface.returns)
 
 
 def _sample(surface: Surface, most: int, random: np.random.Generator) -> Surface:

@@ -119,12 +119,16 @@ class View:
         Of the sensor in the base frame, as far as it is known.
     name : str
         What the view is called in a refusal.
+    levelled : bool
+        Whether the points are in the support plane's frame already: the pose is then not the
+        sensor's, and from where it looked is not known.
 
     """
 
     xyz: PointArray
     pose: Pose
     name: str
+    levelled: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

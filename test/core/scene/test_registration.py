@@ -115,6 +115,16 @@ def test_unorganised_views_count_the_same(look, above):
     assert np.array_equal(merge_views([flat]).clouds[0], merge_views([view]).clouds[0])
 
 
+def test_views_that_are_levelled_already_come_together_too(look, above, around):
+    views = []
+    for view in look([lump(1)], (*around, above), shift=0.003, angle=0.01, seed=2):
+        # As drivers publish them that know their sensor's place, with an error.
+        level = view.pose.apply(view.xyz.reshape(-1, 3).astype(float)).astype(np.float32)
+        views.append(View(level.reshape(view.xyz.shape), Pose.identity(), view.name, True))
+    merge = merge_views(views)
+    assert merge.distance_after < 0.3 * merge.distance_before
+
+
 def test_the_ray_caster_shows_the_table_where_it_is(look, pose_of):
     camera = Camera(0.7, 0.6)
     (view,) = look([], [camera], noise=0.0, dropout=0.0)
