@@ -65,6 +65,11 @@ FIELDS: Final = {
         ('is_dense', 'true if no point is missing; not trusted'),
     ),
     'geometry_msgs/msg/PointStamped': (*_STAMP, ('point', 'the point')),
+    'geometry_msgs/msg/PoseStamped': (
+        *_STAMP,
+        ('pose.position', 'where it is'),
+        ('pose.orientation', 'how it is turned, a quaternion x, y, z, w'),
+    ),
     'geometry_msgs/msg/Vector3Stamped': (*_STAMP, ('vector', 'the unit vector')),
     'diagnostic_msgs/msg/DiagnosticStatus': _PAIRS,
     'action_msgs/msg/GoalStatusArray': (

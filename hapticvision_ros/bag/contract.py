@@ -191,6 +191,47 @@ PUSH_DIRECTION: Final = _cell_topic(
     'support_plane',
     'Unit vector along which the tool pushes.',
 )
+VIEWPOINT: Final = _cell_topic(
+    '/planner/viewpoint',
+    'geometry_msgs/msg/PoseStamped',
+    'm',
+    'support_plane',
+    "The paper's V_O: from where a range sensor sees the dent, as the pose of its optical frame, z "
+    'towards the contact point and y down.',
+)
+OBJECT_POSE: Final = _cell_topic(
+    '/planner/object_pose',
+    'geometry_msgs/msg/PoseStamped',
+    'm',
+    'support_plane',
+    "The object's pose at its centre of gravity: x along its line of symmetry L, z up.",
+)
+OBJECT: Final = _cell_topic(
+    '/planner/object',
+    'diagnostic_msgs/msg/DiagnosticStatus',
+    '-',
+    '-',
+    'What the planner found out about the object and the push, or why it refused.',
+)
+SHAPE: Final = _cell_topic(
+    '/planner/shape',
+    'sensor_msgs/msg/PointCloud2',
+    'm',
+    'support_plane',
+    "The object's surface, merged from all views.",
+)
+SENSOR_POSE: Final = Topic(
+    name='/range_sensor/pose',
+    msgtype='geometry_msgs/msg/PoseStamped',
+    unit='m',
+    frame_id='support_plane',
+    rate_hz=(1.0, 500.0),
+    required=False,
+    stamped=True,
+    qos=Qos(publish_depth=10, subscribe_depth=100),
+    meaning='Where a range sensor on the wrist is: the pose of the frame that its clouds are in, '
+    'for an arm that sends no tf.',
+)
 DETECTED_PHASE: Final = _cell_topic(
     '/segmenter/phase',
     'std_msgs/msg/String',
@@ -278,6 +319,11 @@ PUSH_REPORT: Final = _cell_topic(
 CELL_TOPICS: Final = (
     CONTACT_POINT,
     PUSH_DIRECTION,
+    VIEWPOINT,
+    OBJECT_POSE,
+    OBJECT,
+    SHAPE,
+    SENSOR_POSE,
     DETECTED_PHASE,
     CONTACT_TIME,
     HOLD_TIME,
@@ -323,7 +369,18 @@ TARE: Final = Service(
 PLAN: Final = Service(
     '/contact_point_planner/plan',
     'std_srvs/srv/Trigger',
-    'Choose the contact point and the push direction from the next clouds.',
+    'Choose contact point, push direction and viewpoint from the views that were kept, or else '
+    'from the next clouds.',
+)
+ADD_VIEW: Final = Service(
+    '/contact_point_planner/add_view',
+    'std_srvs/srv/Trigger',
+    'Keep the next clouds, with the pose of their sensor, for the next plan.',
+)
+CLEAR_VIEWS: Final = Service(
+    '/contact_point_planner/clear_views',
+    'std_srvs/srv/Trigger',
+    'Forget the views that were kept.',
 )
 ENABLE: Final = Service(
     '/arm_push_controller/enable',
@@ -363,6 +420,8 @@ CANCEL_EXPERIMENT: Final = Service(
 SERVICES: Final = (
     TARE,
     PLAN,
+    ADD_VIEW,
+    CLEAR_VIEWS,
     ENABLE,
     PUSH,
     STOP,
