@@ -39,6 +39,13 @@ from hapticvision_ros.share import share_folder
 
 STEADY: Final = 4.0
 """A process that has never run for so long is not started again: its start is what fails [s]."""
+DEAF: Final = 'Failed init_port'
+"""
+What Fast DDS says when a process cannot listen to its own port in shared memory.
+
+It happens when another looks, at the same moment, whether the one who had the port before is dead,
+as after a kill. The process then goes on and is heard by nobody: it has to be started again.
+"""
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -322,6 +329,8 @@ class Supervisor:
                 child.lines.put(text)
                 with self._print_lock:
                     self._pass_on(child.prefix + text)
+                if child.restarts and DEAF in text:
+                    popen.kill()
         popen.wait()
         self._exits.put(child.name)
 

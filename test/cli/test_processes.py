@@ -104,6 +104,26 @@ def test_a_peer_that_dies_is_started_again_as_often_as_asked(monkeypatch):
     assert shown.count('[peer] ended with signal SIGKILL; it is started again.') == 2
 
 
+def test_a_peer_whose_middleware_is_deaf_is_started_again(tmp_path):
+    shown: list[str] = []
+    first = tmp_path / 'first'
+    code = (
+        f'import pathlib, time\nfirst = pathlib.Path({str(first)!r})\n'
+        'if not first.exists():\n'
+        '    first.touch()\n'
+        '    print("[RTPS_TRANSPORT_SHM Error] Failed init_port fastrtps_port7413", flush=True)\n'
+        '    time.sleep(600)\n'
+        'print("heard", flush=True)\n'
+    )
+    with (
+        pytest.raises(ProcessError, match='peer ended with exit code 0'),
+        Supervisor(os.environ, shown.append) as supervisor,
+    ):
+        supervisor.start({'peer': python(code)}, restarts=1)
+        supervisor.wait()
+    assert shown[-1] == '[peer] heard'
+
+
 def test_a_peer_that_cannot_even_start_is_not_started_again():
     shown: list[str] = []
     with (
