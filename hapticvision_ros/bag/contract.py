@@ -196,8 +196,8 @@ VIEWPOINT: Final = _cell_topic(
     'geometry_msgs/msg/PoseStamped',
     'm',
     'support_plane',
-    "The paper's V_O: from where a range sensor sees the dent, as the pose of its optical frame, z "
-    'towards the contact point and y down.',
+    "The paper's V_O: from where a range sensor sees the dent, as the pose of its optical frame, "
+    'z towards the contact point and y down.',
 )
 OBJECT_POSE: Final = _cell_topic(
     '/planner/object_pose',

@@ -26,10 +26,11 @@ from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PointStamped, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped, WrenchStamped
 from hapticvision_ros.core.devices import RangeFrame, WrenchSample
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import PointArray
+from hapticvision_ros.core.scene.views import Picture, Pose
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64, String
@@ -37,6 +38,7 @@ from std_msgs.msg import Float64, String
 NS_PER_S: Final = 1_000_000_000
 
 _XYZ: Final = ('x', 'y', 'z')
+_CHANNELS: Final = {'mono8': 1, 'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4}
 
 
 def ns_from_stamp(stamp: Any) -> int:
@@ -112,6 +114,70 @@ def vector_to_message(vector: tuple[float, float, float], stamp_ns: int, frame_i
 def vector_from_message(message: Any) -> tuple[float, float, float]:
     """Return a Vector3Stamped as a vector."""
     return (float(message.vector.x), float(message.vector.y), float(message.vector.z))
+
+
+def pose_to_message(pose: Pose, stamp_ns: int, frame_id: str) -> Any:
+    """Return a pose as a PoseStamped."""
+    message = PoseStamped()
+    message.header.stamp = stamp_from_ns(stamp_ns)
+    message.header.frame_id = frame_id
+    place, turn = message.pose.position, message.pose.orientation
+    place.x, place.y, place.z = (float(item) for item in pose.translation)
+    turn.x, turn.y, turn.z, turn.w = pose.quaternion
+    return message
+
+
+def pose_from_parts(place: Any, turn: Any) -> Pose:
+    """
+    Return a Point or Vector3 and a Quaternion as a pose.
+
+    Raises
+    ------
+    InputError
+        If they are none.
+
+    """
+    return Pose.from_quaternion((place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
+
+
+def picture_from_messages(image: Any, info: Any, pose: Pose) -> Picture:
+    """
+    Return a rectified Image with its CameraInfo as a picture.
+
+    Parameters
+    ----------
+    image : sensor_msgs.msg.Image
+        In mono8, or three or four channels of 8 bits; their order does not matter.
+    info : sensor_msgs.msg.CameraInfo
+        Of the same camera; its P holds for rectified pictures, its K where it has no P.
+    pose : Pose
+        Of the camera's optical frame in the support plane's.
+
+    Raises
+    ------
+    InputError
+        If the encoding is another, the data are cut off, or the camera is not calibrated.
+
+    """
+    channels = _CHANNELS.get(image.encoding)
+    if channels is None:
+        raise InputError(
+            f"The camera's image is encoded as '{image.encoding}': set it to publish one of "
+            f'{", ".join(_CHANNELS)}.'
+        )
+    height, width, step = int(image.height), int(image.width), int(image.step)
+    if step < width * channels or len(image.data) < height * step:
+        raise InputError("The camera's image holds fewer bytes than its size asks for.")
+    rows = np.frombuffer(image.data, np.uint8, height * step).reshape(height, step)
+    pixels = rows[:, : width * channels].reshape(height, width, channels)
+    projection = np.array(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
+    matrix = projection if projection[0, 0] > 0.0 else np.array(info.k).reshape(3, 3)
+    if not matrix[0, 0] > 0.0 or (info.height, info.width) != (height, width):
+        raise InputError(
+            "The camera's CameraInfo does not fit its image, or is not calibrated: calibrate the "
+            'camera.'
+        )
+    return Picture(pixels[:, :, 0] if channels == 1 else pixels[:, :, :3], matrix, pose)
 
 
 def cloud_to_message(frame: RangeFrame, frame_id: str) -> Any:

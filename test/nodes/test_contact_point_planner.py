@@ -15,21 +15,36 @@
 """The contact-point planner as a process, on clouds that the test sends."""
 
 from hapticvision_ros.bag.contract import (
+    ADD_VIEW,
+    CLEAR_VIEWS,
     CONTACT_POINT,
+    OBJECT,
+    OBJECT_POSE,
     PLAN,
     POINTS,
     PUSH_DIRECTION,
+    SENSOR_POSE,
+    SHAPE,
     TOOL_HEIGHT,
+    VIEWPOINT,
 )
 from hapticvision_ros.core.devices import RangeFrame
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.scene.views import Pose
+from hapticvision_ros.nodes.contact_point_planner import known_poses
 from hapticvision_ros.nodes.conversions import (
     cloud_to_message,
+    picture_from_messages,
     point_from_message,
+    pose_to_message,
     scalar_to_message,
+    values_from_status,
     vector_from_message,
 )
+from hapticvision_ros.sim.shapes import block, Camera, take
 import numpy as np
 import pytest
+from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
 TOP = 0.04
@@ -91,6 +106,69 @@ def test_the_contact_point_lies_on_top_of_the_mass_centre(planner, probe, show, 
     assert vector_from_message(directions[0]) == pytest.approx((0.0, 0.0, -1.0), abs=0.002)
 
 
+def numbers_of(camera):
+    """Return where a camera is, as the parameter takes it."""
+    pose = Pose(camera.rotation, camera.translation)
+    return [*(float(item) for item in pose.translation), *pose.quaternion]
+
+
+def test_views_of_several_sensors_make_one_plan(start_node, probe, until):
+    solid = block(0.07, 0.05, 0.04).at(0.003, -0.002, 0.3)
+    left, right = (Camera(azimuth, 0.7, width=160, height=120) for azimuth in (0.5, 0.5 + np.pi))
+    above = Camera(0.5, 1.5, width=160, height=120)
+    start_node(
+        'contact_point_planner',
+        {
+            'cloud_timeout': 20.0,
+            'clouds': 2,
+            'sensor_frames': 'left right',
+            'sensor_poses': [*numbers_of(left), *numbers_of(right)],
+        },
+    )
+    points, arm = probe.publisher(POINTS), probe.publisher(TOOL_HEIGHT)
+    wrist = probe.publisher(SENSOR_POSE)
+
+    def show(frame, camera):
+        cloud = take(camera, [solid]).xyz
+
+        def send():
+            stamp = probe.node.get_clock().now().nanoseconds
+            arm.publish(scalar_to_message(0.12))
+            pose = Pose(above.rotation, above.translation)
+            wrist.publish(pose_to_message(pose, stamp, SENSOR_POSE.frame_id))
+            points.publish(cloud_to_message(RangeFrame(stamp, cloud), frame))
+
+        return probe.node.create_timer(0.05, send)
+
+    views = (('left', left), ('right', right), ('wrist', above))
+    for number, (frame, camera) in enumerate(views, 1):
+        timer = show(frame, camera)
+        answer = probe.call(ADD_VIEW, Trigger.Request(), DEADLINE)
+        probe.node.destroy_timer(timer)
+        assert answer.success, answer.message
+        assert answer.message.endswith(f'the next plan has {number} views.')
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert answer.success, answer.message
+    assert 'from 3 views' in answer.message
+    heard = [probe.listen(item) for item in (CONTACT_POINT, VIEWPOINT, OBJECT_POSE, OBJECT, SHAPE)]
+    until(lambda: all(heard), 'the latched plan')
+    contact, viewpoint, pose, found, shape = (item[0] for item in heard)
+    # Half a cell of the top-view grid.
+    assert point_from_message(contact) == pytest.approx((0.003, -0.002, 0.04), abs=1e-3)
+    # Perpendicular to the plane of symmetry, which is along the block's length.
+    place = viewpoint.pose.position
+    across = (place.x - 0.003) * np.cos(0.3) + (place.y + 0.002) * np.sin(0.3)
+    assert across == pytest.approx(0.0, abs=0.02)
+    assert 0.2 - 1e-3 < place.z - 0.04 < 0.4 * np.sin(np.pi / 4) + 1e-3
+    assert pose.pose.position.z == pytest.approx(0.02, abs=1e-3)
+    values = values_from_status(found)
+    # Half a cell on a rim of 240 mm, as a share of 35 cm^2.
+    assert float(values['volume_m3']) == pytest.approx(0.07 * 0.05 * 0.04, rel=0.07)
+    assert shape.width > 1000
+    # The views are used up.
+    assert probe.call(CLEAR_VIEWS, Trigger.Request()).message == '0 views were forgotten.'
+
+
 @pytest.mark.parametrize(
     ('blocks', 'sentence'),
     [
@@ -131,3 +209,41 @@ def test_clouds_in_a_foreign_frame_are_refused(planner, probe, show):
     answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert not answer.success
     assert "frame 'camera'" in answer.message
+
+
+def test_poses_in_the_parameters_are_seven_numbers_a_frame():
+    left = (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)
+    poses = known_poses('left right', (*left, *left))
+    assert list(poses) == ['left', 'right']
+    assert poses['right'].translation == pytest.approx((0.1, 0.2, 0.3))
+    with pytest.raises(InputError, match="holds 7 numbers, but 'sensor_frames' names 2 frames"):
+        known_poses('left right', left)
+
+
+def camera_info(height, width, focal):
+    projection = [focal, 0.0, 2.0, 0.0, 0.0, focal, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return CameraInfo(height=height, width=width, p=projection)
+
+
+def test_a_picture_is_read_with_its_padding():
+    rows = np.arange(3 * 20, dtype=np.uint8).reshape(3, 20)
+    image = Image(height=3, width=5, step=20, encoding='rgb8', data=rows.tobytes())
+    picture = picture_from_messages(image, camera_info(3, 5, 100.0), Pose.identity())
+    assert np.array_equal(picture.pixels, rows[:, :15].reshape(3, 5, 3))
+    assert picture.matrix == pytest.approx(np.array([[100, 0, 2], [0, 100, 1], [0, 0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ('change', 'info', 'sentence'),
+    [
+        ({'encoding': 'bayer_rggb8'}, camera_info(3, 5, 100.0), "encoded as 'bayer_rggb8'"),
+        ({'height': 4}, camera_info(4, 5, 100.0), 'fewer bytes'),
+        ({}, camera_info(3, 6, 100.0), 'does not fit its image'),
+        ({}, camera_info(3, 5, 0.0), 'is not calibrated'),
+    ],
+    ids=['bayer', 'cut off', 'another camera', 'not calibrated'],
+)
+def test_a_picture_that_cannot_be_used_is_refused(change, info, sentence):
+    fields = {'height': 3, 'width': 5, 'step': 5, 'encoding': 'mono8', 'data': bytes(15)} | change
+    with pytest.raises(InputError, match=sentence):
+        picture_from_messages(Image(**fields), info, Pose.identity())

@@ -14,7 +14,9 @@
 
 """What is seen from one place: a cloud, or a picture, with the pose of the sensor."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray, PointArray
@@ -129,6 +131,47 @@ class View:
     pose: Pose
     name: str
     levelled: bool = False
+
+
+_STILL: Final = 0.005
+"""A pixel that goes further to and fro [m] looks past an edge: it is left out."""
+
+
+def mean_cloud(clouds: Sequence[PointArray]) -> PointArray:
+    """
+    Return the mean of clouds that a sensor took from one place.
+
+    Parameters
+    ----------
+    clouds : sequence of ndarray of float32, each (height, width, 3) or (n, 3)
+        At least one; clouds of different sizes are put in a row.
+
+    Returns
+    -------
+    ndarray of float32
+        Where pixels belong together, their means over the clouds that have them.
+
+    """
+    first = clouds[0]
+    if len(clouds) == 1:
+        return first
+    if first.ndim != 3 or any(cloud.shape != first.shape for cloud in clouds):
+        return np.concatenate([cloud.reshape(-1, 3) for cloud in clouds])
+    total, count = np.zeros(first.shape, np.float32), np.zeros(first.shape[:2], np.float32)
+    low, high = np.full(count.shape, np.inf), np.full(count.shape, -np.inf)
+    for cloud in clouds:
+        returned = np.isfinite(cloud).all(axis=-1)
+        points = np.where(returned[..., None], cloud, 0.0)
+        total += points
+        count += returned
+        distance = np.linalg.norm(points, axis=-1)
+        low = np.minimum(low, np.where(returned, distance, np.inf))
+        high = np.maximum(high, np.where(returned, distance, -np.inf))
+    good = (count > 0) & ~(high - low > _STILL)
+    mean: PointArray = np.where(
+        good[..., None], total / np.maximum(count, 1.0)[..., None], np.float32(np.nan)
+    )
+    return mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@
 """Poses and pictures."""
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.scene.views import Picture, Pose
+from hapticvision_ros.core.scene.views import mean_cloud, Picture, Pose
 from hypothesis import given, strategies
 import numpy as np
 import pytest
@@ -69,3 +69,21 @@ def test_a_picture_shows_what_is_before_it():
     places, inside = picture.project(points)
     assert inside.tolist() == [True, True, False, False]
     assert places[:2] == pytest.approx(np.array([[29.5, 19.5], [39.5, 14.5]]))
+
+
+def test_the_mean_of_clouds_takes_what_each_has():
+    first = np.zeros((2, 2, 3), dtype=np.float32)
+    first[..., 2] = 0.5
+    second = first + np.float32(0.001)
+    second[0, 0] = np.nan
+    second[1, 1, 2] = 0.6
+    mean = mean_cloud([first, second])
+    assert mean[0, 0] == pytest.approx((0.0, 0.0, 0.5))
+    assert mean[0, 1] == pytest.approx((0.0005, 0.0005, 0.5005))
+    # It looks past an edge, now at what is before it and now at what is behind.
+    assert np.isnan(mean[1, 1]).all()
+    assert mean_cloud([first]) is first
+
+
+def test_clouds_without_rows_are_put_in_a_row():
+    assert mean_cloud([np.zeros((4, 3), np.float32), np.zeros((5, 3), np.float32)]).shape == (9, 3)
