@@ -48,11 +48,10 @@ WEAKEST: Final = 0.07
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
-_RESOLVED: Final = 6.0
+_RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
-_QUICK_GATE: Final = 50.0
-_FLEETING: Final = 3.0
-"""Gain, and how much stronger it must be, where it draws jumps out over less than a sample."""
+_QUICK_GATE: Final = 20.0
+"""Gain, and lead, of what draws jumps out over less than a sample."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
 _MOST: Final = 3
@@ -157,10 +156,11 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
 
 
 def resolved(bench: Workbench) -> bool:
-    """Return whether the encoders show in every trial how the arm changes its speed."""
-    return all(
-        any(bend.duration > _RESOLVED * trial.path.interval for bend in trial.path.bends)
+    """Return whether the encoders show how the arm changes its speed where it is fastest."""
+    return any(
+        bend.duration > _RESOLVED * trial.path.interval
         for trial in bench.trials
+        for bend in trial.path.bends
     )
 
 
@@ -314,8 +314,11 @@ def select(
         if not good or good[0].refit is None:
             rounds.append(Round(current, tried, ()))
             break
-        leader = good[0]
-        alike = tuple(each.effect for each in good if each.gain > leader.gain - LEAD)
+        leader, lead = good[0], LEAD
+        if fleeting(bench, good[0].refit, leader.effect):
+            # What is over within a sample looks much the same, whatever it is.
+            lead = _QUICK_GATE
+        alike = tuple(each.effect for each in good if each.gain > leader.gain - lead)
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
@@ -329,7 +332,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[T
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
             return each.gain > GATE and each.strength > weakest
-        return shown and each.gain > _QUICK_GATE and each.strength > _FLEETING * weakest
+        return shown and each.gain > _QUICK_GATE and each.strength > weakest
 
     return [
         each

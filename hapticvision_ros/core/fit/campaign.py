@@ -105,6 +105,8 @@ _CLEARANCE: Final = 0.1
 _SLOWER: Final = 2.0
 _SEEN: Final = 12.0
 """Gain in likelihood from which on slower noise is seen without contact."""
+_WANDERS: Final = 4.0
+"""The same for a zero that wanders: a little too much of it costs little."""
 _ZERO: Final = 0.03
 """How far the zero of a load cell may be from the one before contact, over the largest force."""
 _QUIET: Final = 1e-7
@@ -968,8 +970,7 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
     # A zero that drifts alike in all trials is an effect and does not wander.
     air = [
         Record(blocks, rest, since[np.newaxis], np.ones((1, rest.size)))
-        for trial in trials
-        for blocks, rest, since in _without_contact(trial)
+        for blocks, rest, since in filter(None, map(_without_contact, trials))
     ]
     if sum(record_.residual.size for record_ in air) < _BASELINE:
         return memory
@@ -985,32 +986,45 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
         brief = estimate(air, _even(spread, interval), interval, longest=memory.force)
     level = deviance(air, brief)
     slower = level - deviance(air, free)
-    wanders = wandering(air, brief, interval, memory.force, at_least=0.5 * _SEEN)
-    if wanders is not None and level - deviance(air, wanders) > slower + _SEEN:
+    wanders = wandering(air, brief, interval, memory.force, at_least=0.5 * _WANDERS)
+    if wanders is not None and level - deviance(air, wanders) > max(slower, 0.0) + _WANDERS:
         return memory._replace(wander=wanders.wander, wander_time=wanders.wander_time)
     if slower > _SEEN:
         return memory._replace(force=max(memory.force, _SLOWER * free.correlation_time))
     return memory
 
 
-def _without_contact(trial: FitTrial) -> list[tuple[Blocks, FloatArray, FloatArray]]:
-    """Return the force before the touch and after the tool has left, less its mean, and when."""
+def _without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | None:
+    """
+    Return the force before the touch and after the tool has left, less its mean, and when.
+
+    Both are of one record, between which a block without samples stands for the push: how far the
+    zero has gone meanwhile tells most of how it wanders.
+    """
     blocks = force_blocks(trial)
     middle = 0.5 * (trial.t[1:] + trial.t[:-1])
     clear = trial.displacement[1:] < -_CLEARANCE * trial.reference_depth
     pieces = [middle < trial.t_contact - _EDGE * trial.interval]
     if trial.t_release is not None:
         pieces.append((middle > trial.t_release) & clear)
-    found = []
+    chosen = np.zeros(middle.size, dtype=np.bool_)
     for piece in pieces:
-        chosen = piece & (blocks.count > 0.0)
-        if np.count_nonzero(chosen) < _FEW:
-            continue
-        count = blocks.count[chosen]
-        rest = trial.force[chosen] - float(trial.force[chosen] @ count) / float(count.sum())
-        part = Blocks(blocks.duration[chosen], count, np.zeros(count.size))
-        found.append((part, rest, middle[chosen] - trial.zero_time))
-    return found
+        inside = piece & (blocks.count > 0.0)
+        if np.count_nonzero(inside) >= _FEW:
+            chosen |= inside
+    at = np.flatnonzero(chosen)
+    if at.size == 0:
+        return None
+    mean = float(trial.force[at] @ blocks.count[at]) / float(blocks.count[at].sum())
+    gaps = np.flatnonzero(np.diff(at) > 1)
+    length = trial.t[at[gaps + 1]] - trial.t[at[gaps] + 1]
+    part = Blocks(
+        np.insert(blocks.duration[at], gaps + 1, length),
+        np.insert(blocks.count[at], gaps + 1, 0.0),
+        np.zeros(at.size + gaps.size),
+    )
+    rest = np.insert(trial.force[at] - mean, gaps + 1, 0.0)
+    return part, rest, np.insert(middle[at] - trial.zero_time, gaps + 1, 0.0)
 
 
 def _even(std: float, interval: float) -> SensorNoise:
