@@ -393,6 +393,10 @@ class LoadCellDriver(CellNode):
             self._publish(WrenchSample(stamp_ns, _INVALID, _INVALID))
             return
         turned = WrenchSample(stamp_ns, self._turned(sample.force), self._turned(sample.torque))
+        if self._recent and stamp_ns < self._recent[-1].stamp_ns:
+            # The device's clock was set back: what bears later stamps would never leave.
+            self._low_pass.restart()
+            self._recent.clear()
         self._recent.append(turned)
         while stamp_ns - self._recent[0].stamp_ns > self._tare_ns:
             self._recent.popleft()
