@@ -84,10 +84,13 @@ ANSWER_DEADLINE: Final = 40.0
 DEAF_AFTER: Final = 15.0
 """An orchestrator that has not answered for so long is started again [s]."""
 PHASE_DEADLINE: Final = 40.0
-END_DEADLINE: Final = 40.0
+END_DEADLINE: Final = 50.0
 """How long an experiment may take to end after the fault [s]."""
 REST_DEADLINE: Final = 20.0
 """How long the tool may take to come up again [s]."""
+ATTEMPTS: Final = 3
+"""How often a trial is made that ends before the fault is due."""
+NEVER: Final = 'never came to'
 DURATION: Final = 1.5
 """How long a device goes wrong or a process hangs [s]."""
 AT_REST: Final = 0.2
@@ -154,9 +157,9 @@ class Campaign:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def run(self, number: int, fault: Fault) -> Measured:
-        """Make one trial with a fault, and return what it has shown."""
-        folder = self._out / 'bags' / f'{number:03d}'
+    def run(self, name: str, fault: Fault) -> Measured:
+        """Make one trial with a fault, with its bag in a folder of this name."""
+        folder = self._out / 'bags' / name
         if fault.how == 'into a folder that cannot be written':
             folder = Path('/proc/nowhere')
         depth = DEPTHS.get(fault.how, DEPTH)
@@ -174,12 +177,14 @@ class Campaign:
             self._until(lambda: fault.phase in self._phases or self._results, PHASE_DEADLINE)
             if fault.phase not in self._phases:
                 said = self._results[-1].message if self._results else 'nothing'
-                return self._measured(fault, folder, 0, f'never came to {fault.phase}: {said}')
+                return self._measured(fault, folder, 0, f'{NEVER} {fault.phase}: {said}')
         fault_ns = time.time_ns()
         trouble = self._inject(fault)
         ended = self._until(lambda: bool(self._results) or self._gone(fault), END_DEADLINE)
         if not ended:
             trouble = trouble or 'the experiment did not end'
+            self._tell('cancel')
+            self._until(lambda: bool(self._results), END_DEADLINE)
         self._world.ask('heal')
         self._until(self._safe, REST_DEADLINE)
         if fault.action == 'emergency':
@@ -463,15 +468,21 @@ def main() -> int:
     campaign = Campaign(args.port, args.out, args.force_limit)
     for stop in (signal.SIGINT, signal.SIGTERM):
         signal.signal(stop, campaign.interrupt)
-    rows, safe, began = [], 0, time.monotonic()
+    rows, safe, repeated, began = [], 0, 0, time.monotonic()
     faults = chosen(args.only)
     try:
         for number, fault in faults:
             start = time.monotonic()
-            try:
-                measured = campaign.run(number, fault)
-            except HapticVisionError as error:
-                measured = campaign.given_up(str(error))
+            for attempt in range(ATTEMPTS):
+                try:
+                    measured = campaign.run(f'{number:03d}{"abc"[attempt]}', fault)
+                except HapticVisionError as error:
+                    measured = campaign.given_up(str(error))
+                if not measured.trouble.startswith(NEVER):
+                    break
+                # A machine that is held up aborts a push as well, before anything was done to it.
+                repeated += 1
+                print(f'{fault.name}: {measured.trouble}', flush=True)
             said = verdict(fault, measured)
             safe += said == 'safe'
             rows.append(row(fault, measured))
@@ -488,7 +499,9 @@ def main() -> int:
     took = time.monotonic() - began
     limit = (
         f'The force limit is {args.force_limit:g} N. A restarted orchestrator that could not be '
-        f'reached was started once more: {campaign.second_restarts} times.'
+        f'reached was started once more: {campaign.second_restarts} times. A trial that ended '
+        f'before its fault was due, because the machine was held up, was made again: {repeated} '
+        'times.'
     )
     _write(args.page, rows, safe, took, limit)
     (args.out / 'faults.json').write_text(json.dumps(rows, indent=1), encoding='utf-8')
