@@ -558,6 +558,9 @@ class PushControl:
                 self._wait(t)
             self._told = 0.0
             return Command(0.0, self.phase)
+        if tool is not None:
+            # It has gone on since, as far as it was told to: down, where it matters.
+            height -= max(0.0, self._told) * max(0.0, t - tool.t)
         most = self._limits.max_speed
         self._told = min(max(self._advance(t, height, contact_force), -most), most)
         return Command(self._told, self.phase)
@@ -640,7 +643,11 @@ class PushControl:
                 's: the load cell is saturated or dead.',
                 t,
             )
-        elif self._travel > FROZEN_TRAVEL and self._same_heights >= FROZEN_HEIGHTS:
+        elif (
+            # What it was told since the reading is not in there yet.
+            self._travel - abs(self._told) * (t - self._last_tool.t) > FROZEN_TRAVEL
+            and self._same_heights >= FROZEN_HEIGHTS
+        ):
             self.abort(
                 f'The tool height stays at {height * 1e3:.6g} mm while the tool is told to move: '
                 'the arm does not follow, or its reading is dead.',

@@ -418,6 +418,23 @@ def test_a_dead_encoder_aborts_the_push_before_it_goes_far(phase):
         assert bench.step(tool=Reading(bench.t, dead)).push_velocity <= 0.0
 
 
+@pytest.mark.parametrize('age', [0.03, 0.09])
+def test_heights_that_come_late_make_no_contact_at_the_approach_speed(age):
+    bench = Bench(replace(GOAL, approach_speed=0.05))
+    readings = []
+    for _ in range(2000):
+        readings.append(Reading(bench.t, bench.height))
+        late = next((r for r in reversed(readings) if bench.t - r.t >= age), readings[0])
+        command = bench.step(tool=late)
+        if bench.height < SURFACE + 1e-4 and command.phase == 'approach':
+            assert command.push_velocity <= GOAL.push_speed
+        if command.phase == 'hold':
+            break
+    assert command.phase == 'hold'
+    # Less the way since the touch reading, which was late as well, and at most a cycle or two.
+    assert SURFACE - bench.height == pytest.approx(GOAL.depth, abs=GOAL.push_speed * age + 3e-4)
+
+
 def test_a_few_equal_readings_of_a_slow_load_cell_are_not_frozen():
     bench = Bench(limits=replace(LIMITS, frozen_time=0.01, stale_time=1.0))
     held = None
