@@ -31,7 +31,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 HERE = Path(__file__).parent
-LIVE = ('nodes', 'replay', 'cli/test_cell', 'cli/test_demo', 'cli/test_replay', 'sim/test_server')
+LIVE = (
+    'nodes',
+    'replay',
+    'cli/test_cell',
+    'cli/test_demo',
+    'cli/test_faults',
+    'cli/test_replay',
+    'sim/test_faults',
+    'sim/test_server',
+)
 """Tests of processes that work in real time, one after the other."""
 TOGETHER = ('report', 'core/diagnosis')
 """Folders whose tests share what takes long to make."""
