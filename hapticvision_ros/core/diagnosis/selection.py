@@ -156,11 +156,16 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
 
 
 def resolved(bench: Workbench) -> bool:
-    """Return whether the encoders show how the arm changes its speed where it is fastest."""
+    """
+    Return whether the encoders show how the arm stops after the fastest push.
+
+    A withdrawal, which is quicker as a rule and shows less in the force, tells nothing of that.
+    """
     return any(
         bend.duration > _RESOLVED * trial.path.interval
         for trial in bench.trials
         for bend in trial.path.bends
+        if trial.t_release is None or bend.stop < trial.t_release
     )
 
 
