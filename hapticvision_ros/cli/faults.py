@@ -41,7 +41,6 @@ FORCE_LIMIT: Final = 20.0
 """A quick push of the campaign takes about half of it [N]."""
 QUICK: Final[dict[str, dict[str, Any]]] = {
     'range_sensor_driver': {'width': 160, 'height': 120},
-    'contact_point_planner': {'clouds': 1},
     ARM: {
         'push_speed': 0.01,
         'approach_speed': 0.03,
