@@ -348,6 +348,11 @@ class Experiment:
         return self._trial_failed
 
     @property
+    def leaving(self) -> bool:
+        """Whether the trials are over and only the tool has to be seen to."""
+        return self._leaving
+
+    @property
     def shaken(self) -> bool:
         """Whether the tool may have been left low: at the begin, and after a failed trial."""
         return not self.outcomes or self.outcomes[-1].outcome is Outcome.ABORTED
@@ -522,8 +527,9 @@ class Experiment:
                 )
         over = self._index + 1 == len(self.trials)
         if over or self.reason or self.status is GoalStatus.CANCELING:
-            # An arm that did not say that it has come back may have left its tool low.
-            self._leaving = self.arm_phase not in (None, 'done', 'aborted')
+            # Also an arm that has said "aborted" may have left its tool low: it may have lost its
+            # height, or its controller was ended.
+            self._leaving = self.arm_phase not in (None, 'done')
             self._enter(Step.BRING_UP if self._leaving else Step.DISABLE, now)
         else:
             self._enter(Step.REST, now)

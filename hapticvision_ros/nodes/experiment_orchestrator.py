@@ -710,6 +710,10 @@ class ExperimentOrchestrator(CellNode):
         if answer.success:
             then(now)
             return
+        if experiment.leaving and service is ENABLE:
+            # The emergency stop is pressed: whoever releases it sees to the tool.
+            experiment.failed(answer.message, now)
+            return
         self._drop_call()
         self._ask_again_at = now + self.parameters.real('retry_period')
         experiment.waiting_for = f'{service.name}, which refuses: {answer.message}'

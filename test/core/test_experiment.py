@@ -277,6 +277,8 @@ def test_a_cancel_in_mid_push_stops_the_arm_and_keeps_the_bag():
     experiment.phase('aborted', 0.1)
     assert experiment.step is Step.FINISH
     experiment.recorded('/bags/a', (), 0.2)
+    assert experiment.leaving
+    advance(experiment, Step.DISABLE, 0.3)
     experiment.done(0.3)
     assert experiment.status is GoalStatus.CANCELED
     assert [item.outcome for item in experiment.outcomes] == [Outcome.ABORTED]
