@@ -26,6 +26,7 @@ import ctypes
 from dataclasses import dataclass, field
 import os
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -39,12 +40,13 @@ from hapticvision_ros.share import share_folder
 
 STEADY: Final = 4.0
 """A process that has never run for so long is not started again: its start is what fails [s]."""
-DEAF: Final = 'Failed init_port'
+DEAF: Final = re.compile(r'Failed init_port fastrtps_port(7[4-9]\d\d|[89]\d{3}|\d{5})\b')
 """
 What Fast DDS says when a process cannot listen to its own port in shared memory.
 
 It happens when another looks, at the same moment, whether the one who had the port before is dead,
-as after a kill. The process then goes on and is heard by nobody: it has to be started again.
+as after a kill. The process then goes on and is heard by nobody: it has to be started again. Of the ports below
+7400 it simply takes the next one.
 """
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
@@ -329,7 +331,7 @@ class Supervisor:
                 child.lines.put(text)
                 with self._print_lock:
                     self._pass_on(child.prefix + text)
-                if child.restarts and DEAF in text:
+                if child.restarts and DEAF.search(text):
                     popen.kill()
         popen.wait()
         self._exits.put(child.name)

@@ -109,6 +109,7 @@ def test_a_peer_whose_middleware_is_deaf_is_started_again(tmp_path):
     first = tmp_path / 'first'
     code = (
         f'import pathlib, time\nfirst = pathlib.Path({str(first)!r})\n'
+        'print("[RTPS_TRANSPORT_SHM Error] Failed init_port fastrtps_port7002: no", flush=True)\n'
         'if not first.exists():\n'
         '    first.touch()\n'
         '    print("[RTPS_TRANSPORT_SHM Error] Failed init_port fastrtps_port7413", flush=True)\n'
