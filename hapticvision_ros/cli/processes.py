@@ -45,8 +45,8 @@ DEAF: Final = re.compile(r'Failed init_port fastrtps_port(7[4-9]\d\d|[89]\d{3}|\
 What Fast DDS says when a process cannot listen to its own port in shared memory.
 
 It happens when another looks, at the same moment, whether the one who had the port before is dead,
-as after a kill. The process then goes on and is heard by nobody: it has to be started again. Of the ports below
-7400 it simply takes the next one.
+as after a kill. The process then goes on and is heard by nobody: it has to be started again. Of
+the ports below 7400 it simply takes the next one.
 """
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
