@@ -117,6 +117,14 @@ def test_lines_that_are_no_readings_are_left_out(start, connect, read_until):
     assert cell.counts.garbled >= 3
 
 
+def test_the_end_of_a_line_that_began_before_is_no_reading(start, connect, read_until):
+    emulator = start()
+    emulator.faults.silent = True
+    cell = connect(emulator)
+    emulator.write(b'45\r\n350000\r\n')
+    assert read_until(cell, bool)[0].force[2] == pytest.approx(LOAD[2])
+
+
 def test_with_counter_and_checksum_no_damaged_line_gets_through(start, connect, read_until):
     emulator = start(template='{counter},{raw}', checksum=True)
     cell = connect(emulator, CHECKED)
