@@ -261,7 +261,8 @@ def test_dropouts_all_over_the_frame_cost_no_frame(clouds, share):
 
 def test_dropouts_in_rows_and_in_the_plane_cost_no_frame(clouds):
     def drop(xyz, number):
-        xyz[number % 3 :: 3] = np.nan
+        first = number % 3
+        xyz[first::3] = np.nan
         xyz[:, :100] = np.nan
         return xyz
 

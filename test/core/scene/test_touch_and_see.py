@@ -169,10 +169,14 @@ def test_the_tool_is_no_object(look, above):
     assert plan.contact.contact_point[:2] == pytest.approx((0.01, -0.005), abs=1e-3)
 
 
-def test_a_cut_off_object_is_refused_unless_another_view_has_it_whole(look, above, around):
+def test_a_cut_off_object_is_refused_unless_another_view_has_it_whole(look, above):
     large = block(0.2, 0.06, 0.04).at(0.09, 0.0)
+    views = look([large], [above], table=0.6)
     with pytest.raises(InputError, match='reaches the border'):
-        touch_and_see(look([large], [above], table=0.6))
+        touch_and_see(views)
+    (whole,) = look([large], [replace(above, distance=0.9)], table=0.6)
+    plan = touch_and_see([*views, whole])
+    assert plan.contact.contact_point[:2] == pytest.approx((0.09, 0.0), abs=0.5 * CELL)
 
 
 def test_a_push_that_slips_or_slides_is_refused(look, above):
