@@ -25,6 +25,7 @@ import contextlib
 import ctypes
 from dataclasses import dataclass, field
 import os
+from pathlib import Path
 import queue
 import re
 import signal
@@ -48,6 +49,9 @@ It happens when another looks, at the same moment, whether the one who had the p
 as after a kill. The process then goes on and is heard by nobody: it has to be started again. Of
 the ports below 7400 it simply takes the next one.
 """
+SHARED_MEMORY: Final = Path('/dev/shm')
+HALF_MADE: Final = 2.0
+"""A port in shared memory that is empty for longer was being made by a process that died [s]."""
 STOP_GRACE: Final = 6.0
 """How long a process may take to end after SIGTERM, before SIGKILL [s]."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -134,6 +138,22 @@ def ros_environment(domain: int | None = None) -> dict[str, str]:
     return environment
 
 
+def remove_half_made_ports(folder: Path = SHARED_MEMORY) -> None:
+    """
+    Remove the ports of Fast DDS in shared memory that were never finished.
+
+    A process that is killed while it makes one leaves an empty file, and every process that needs
+    a port waits for its end from then on, on the whole machine.
+    """
+    for port in folder.glob('fastrtps_port*'):
+        with contextlib.suppress(OSError):
+            state = port.stat()
+            made = not port.name.endswith('_el') and not port.name.endswith('_sl')
+            if made and state.st_size == 0 and time.time() - state.st_mtime > HALF_MADE:
+                port.unlink()
+                (folder / f'sem.{port.name}_mutex').unlink(missing_ok=True)
+
+
 class Supervisor:
     """
     Starts processes, passes on what they say, and stops all of them at its end.
@@ -204,6 +224,7 @@ class Supervisor:
             If a command cannot be run.
 
         """
+        remove_half_made_ports()
         stage: list[_Child] = []
         self._stages.append(stage)
         for name, command in commands.items():
@@ -287,6 +308,7 @@ class Supervisor:
             try:
                 name = self._exits.get(timeout=0.5)
             except queue.Empty:
+                remove_half_made_ports()
                 continue
             child = self._child(name)
             popen = child.popen

@@ -125,6 +125,20 @@ def test_a_peer_whose_middleware_is_deaf_is_started_again(tmp_path):
     assert shown[-1] == '[peer] heard'
 
 
+def test_ports_that_a_killed_process_has_not_finished_are_removed(tmp_path):
+    names = ('fastrtps_port7002', 'sem.fastrtps_port7002_mutex', 'fastrtps_port7003')
+    others = ('fastrtps_port7002_el', 'fastrtps_0153d4784640d019', 'fastrtps_port7004')
+    for name in (*names, *others):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (1e9, 1e9))
+    # One that is whole, and one that is being made.
+    (tmp_path / 'fastrtps_port7003').write_text('whole')
+    os.utime(tmp_path / 'fastrtps_port7004')
+    processes.remove_half_made_ports(tmp_path)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {*others, 'fastrtps_port7003'}
+
+
 def test_a_peer_that_cannot_even_start_is_not_started_again():
     shown: list[str] = []
     with (
