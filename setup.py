@@ -57,7 +57,9 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         shared('launch', '*.launch.py'),
-        shared('config', '*'),
+        shared('config', '*.*'),
+        shared('config/layouts', '*'),
+        shared('config/sros2', '*'),
         shared('msg_docs', '*.md'),
     ],
     # Where ROS is installed already, its own Python packages must not be shadowed by wheels.

@@ -139,7 +139,13 @@ def test_the_wheel_holds_all_that_the_package_reads(wheel: zipfile.ZipFile) -> N
     for path in package.rglob('*'):
         if path.is_file() and '__pycache__' not in path.parts:
             assert str(path.relative_to(ROOT)) in names
-    for folder, pattern in (('config', '*'), ('launch', '*.launch.py'), ('msg_docs', '*.md')):
+    for folder, pattern in (
+        ('config', '*.*'),
+        ('config/layouts', '*'),
+        ('config/sros2', '*'),
+        ('launch', '*.launch.py'),
+        ('msg_docs', '*.md'),
+    ):
         files = sorted((ROOT / folder).glob(pattern))
         assert files
         for path in files:
