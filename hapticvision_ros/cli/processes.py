@@ -354,7 +354,9 @@ class Supervisor:
                 with self._print_lock:
                     self._pass_on(child.prefix + text)
                 if child.restarts and DEAF.search(text):
-                    popen.kill()
+                    # Not by SIGKILL, which may leave a port half made.
+                    child.proven = True
+                    popen.terminate()
         popen.wait()
         self._exits.put(child.name)
 
