@@ -65,8 +65,8 @@ def test_the_line_turns_and_moves_with_the_object(yaw, dx):
     found = find_symmetry(drawn(rectangle, flat, centre=(dx, -dx), yaw=yaw))
     # Along the map's own axes all cells of a side come and go together: half a cell.
     assert found.centre == pytest.approx((dx, -dx), abs=0.5 * CELL)
-    # By cells on a rim of 300 mm: within a degree or so.
-    assert difference(found.angle, yaw, np.pi) < np.deg2rad(1.5)
+    # A short side, of 61 mm, that climbs by less than a cell leaves no trace in the map.
+    assert difference(found.angle, yaw, np.pi) < CELL / 0.0608
     assert found.body_overlap > 0.93
 
 

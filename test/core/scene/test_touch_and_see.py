@@ -32,7 +32,6 @@ SOLIDS = {
     'hemisphere': hemisphere(0.04).at(0.004, 0.01),
     'lump 1': lump(1).at(0.01, 0.0, 1.0),
     'lump 2': lump(2),
-    'lump 3': lump(3),
 }
 
 
