@@ -169,6 +169,7 @@ def measure(devices: Devices, rounds: int) -> None:
     enable, push = create_client(node, ENABLE), create_client(node, PUSH)
     assert call(node, enable, SetBool.Request(data=True)).success
     end = time.monotonic() + DEADLINE
+    failed = 0
     while len(devices.reactions) < rounds:
         answer = call(node, push, Trigger.Request())
         if not answer.success:
@@ -177,9 +178,14 @@ def measure(devices: Devices, rounds: int) -> None:
             continue
         end = time.monotonic() + DEADLINE
         count = len(devices.reactions)
-        while devices.velocity <= 0.0:
-            assert time.monotonic() < end, 'the tool does not go down'
+        begins = time.monotonic() + 1.0
+        while devices.velocity <= 0.0 and time.monotonic() < begins:
             time.sleep(0.001)
+        if devices.velocity <= 0.0:
+            # A machine that is held up ends a push before it begins: its readings are too old.
+            failed += 1
+            assert failed < rounds, 'the tool does not go down'
+            continue
         devices.jump_after = time.monotonic() + random.uniform(0.01, 0.03)
         while len(devices.reactions) == count or devices.reactions[-1] is None:
             assert time.monotonic() < end, 'no reaction'
