@@ -186,6 +186,8 @@ PARAMETERS: Final = (
         'double_array',
         '-',
         'Their poses in the frame support_plane: x, y, z [m] and a quaternion x, y, z, w each.',
+        -10.0,
+        10.0,
         read_only=True,
     ),
     ParameterSpec(
