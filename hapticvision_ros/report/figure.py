@@ -365,7 +365,9 @@ def _close_up(panel: Panel, span: Window) -> Window | None:
 
 def _span(panel: Panel) -> Window:
     measured = panel.lines[0].t
-    return float(measured[0]), float(measured[-1])
+    start, stop = float(measured[0]), float(measured[-1])
+    # One sample spans no time, as where a sensor went silent at once.
+    return (start, stop) if stop > start else (start - 0.5, start + 0.5)
 
 
 def _phases_named(frame: _Frame, panel: Panel) -> Iterator[str]:

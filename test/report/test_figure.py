@@ -13,6 +13,7 @@
 # limitations under the License.
 
 
+from dataclasses import replace
 import re
 
 from hapticvision_ros.core.records import FloatArray
@@ -176,3 +177,9 @@ def test_few_samples_are_drawn_as_points(panel: Panel) -> None:
     t = np.linspace(0.0, 10.0, 80)
     few = Panel('Force', 'N', (Series('measured', 'm', t, np.sin(t)),), (), None, (), ())
     assert max(path.count('h0') for path in paths(svg(few), 'measured')) == 80
+
+
+def test_a_record_of_one_sample_has_a_picture(panel: Panel) -> None:
+    """A sensor may go silent after its first reading."""
+    one = tuple(Series(line.role, line.label, line.t[:1], line.value[:1]) for line in panel.lines)
+    assert 'NaN' not in svg(replace(panel, lines=one, residuals=()))

@@ -41,7 +41,7 @@ from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, runs
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
-from hapticvision_ros.core.fit.least_squares import minimise, Solution
+from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     deviance,
@@ -828,24 +828,14 @@ def fit_prepared(
             raise UsageError(
                 f'the model has no parameter {name!r}: choose among {", ".join(model.names)}'
             )
-    if near is None:
-        force_noise, height_noise = _first_noise(usable)
-        problem, states = _search(usable, model, start, force_noise, height_noise)
-    else:
-        force_noise, height_noise = near.noise.force, near.noise.height
-        problem = Problem(model, usable)
-        states = [carried(near.problem, near.state, problem)]
-    blur = 1.0 if near is None else near.noise.blur
-    limit = longest_memory(usable)
-    force_noise = replace(force_noise, wander=limit.wander, wander_time=limit.wander_time)
-    ends = []
-    for state in states:
-        # Each has a problem of its own, whose weights are those of its noise.
-        own = Problem(model, usable, scatter)
-        begin = carried(problem, state, own)
-        ends.append(
-            _weighted(own, begin, force_noise, height_noise, blur, limit, fresh=near is None)
-        )
+    try:
+        ends = _ends(usable, model, start, near, scatter)
+    except NotFiniteError:
+        names = ', '.join(trial.name for trial in usable)
+        raise UsageError(
+            f'the {model.name} model has no finite value at any start for {names}: leave out what '
+            'the report shows to be no push'
+        ) from None
     # Which of several valleys is right shows once each has its own noise.
     best = min(ends, key=lambda end: end.solution.cost + end.problem.log_determinant)
     return _result(prepared, best, warnings)
@@ -859,6 +849,35 @@ class _End(NamedTuple):
     force_noise: SensorNoise
     height_noise: SensorNoise
     blur: float
+
+
+def _ends(
+    usable: Sequence[FitTrial],
+    model: Model,
+    start: Mapping[str, float] | None,
+    near: Fit | None,
+    scatter: FloatArray | None,
+) -> 'list[_End]':
+    """Return where the searches end, each with the noise that its residual shows."""
+    if near is None:
+        force_noise, height_noise = _first_noise(usable)
+        problem, states = _search(usable, model, start, force_noise, height_noise)
+    else:
+        force_noise, height_noise = near.noise.force, near.noise.height
+        problem = Problem(model, usable)
+        states = [carried(near.problem, near.state, problem)]
+    blur = 1.0 if near is None else near.noise.blur
+    limit = longest_memory(usable)
+    force_noise = replace(force_noise, wander=limit.wander, wander_time=limit.wander_time)
+    ends = list[_End]()
+    for state in states:
+        # Each has a problem of its own, whose weights are those of its noise.
+        own = Problem(model, usable, scatter)
+        begin = carried(problem, state, own)
+        ends.append(
+            _weighted(own, begin, force_noise, height_noise, blur, limit, fresh=near is None)
+        )
+    return ends
 
 
 def _weighted(

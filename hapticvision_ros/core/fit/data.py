@@ -752,21 +752,25 @@ def _bend(
         near_t < meeting, level + slope * near_t, next_level + next_slope * near_t
     )
 
-    def squares(duration: float) -> float:
-        bend = Bend(meeting, max(duration, 1e-9), turn)
-        return float(np.sum((miss - bend.beyond(near_t)) ** 2))
+    away = np.abs(near_t - meeting)
+
+    def squares(durations: FloatArray) -> FloatArray:
+        lasts = np.maximum(durations, 1e-9)[:, np.newaxis]
+        beyond = 0.5 * turn / lasts * np.maximum(0.5 * lasts - away, 0.0) ** 2
+        return np.asarray(np.sum((miss - beyond) ** 2, axis=1))
 
     low, high = 0.0, 4.0 * margin
     best = 0.0
     for _ in range(_ZOOMS):
         tried = np.linspace(low, high, 17)
-        best = float(min(tried, key=squares))
+        best = float(tried[np.argmin(squares(tried))])
         width = (high - low) / 16.0
         low, high = max(best - width, 0.0), best + width
-    if squares(best) > _FOLLOWS**2 * near_t.size * noise**2:
+    sharp, bent = squares(np.array([0.0, best])).tolist()
+    if bent > _FOLLOWS**2 * near_t.size * noise**2:
         return None
-    scale = max(noise**2, squares(best) / near_t.size)
-    shown = squares(0.0) - squares(best) > _SHOWN * scale
+    scale = max(noise**2, bent / near_t.size)
+    shown = sharp - bent > _SHOWN * scale
     return Bend(meeting, best if shown else 0.0, turn), level + slope * meeting
 
 

@@ -41,6 +41,10 @@ _STUCK: Final = 1e-9
 _ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
+class NotFiniteError(ValueError):
+    """A model has no finite value where the search for its parameters begins."""
+
+
 @dataclass(frozen=True, slots=True)
 class Solution:
     """
@@ -162,7 +166,7 @@ def minimise(
 
     Raises
     ------
-    ValueError
+    NotFiniteError
         If the model is not finite at the start.
 
     """
@@ -171,7 +175,7 @@ def minimise(
     residual, jacobian = model(theta)
     cost = float(residual @ residual)
     if not math.isfinite(cost):
-        raise ValueError('the model is not finite at the start')
+        raise NotFiniteError('the model is not finite at the start')
     scale = np.sqrt(np.sum(jacobian**2, axis=0))
     scale[scale == 0.0] = 1.0
     length = float(np.linalg.norm(scale * theta))

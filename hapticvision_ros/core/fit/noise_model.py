@@ -46,6 +46,8 @@ _SIZES: Final = (-3.0, -1.5, 0.0)
 """Logarithms of what the wandering may be, over the rest of the noise, at a first look."""
 _LOG_SIZES: Final = 5.0
 _TURNS: Final = 2
+_FEWEST: Final = 8
+"""Samples beyond the parameters without which nothing is known of the noise."""
 _SUMMED: Final = 16
 """Blocks of up to this many samples are summed; the closed form loses digits in short ones."""
 
@@ -492,13 +494,15 @@ def estimate(
     Returns
     -------
     SensorNoise
-        The most likely noise.
+        The most likely noise; `start` where hardly more samples than parameters are there.
 
     """
+    pile = _Pile(records)
+    if pile.samples - pile.parameters < _FEWEST:
+        return start
     longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
-    pile = _Pile(records)
 
     def cost(point: FloatArray, given: _Pile = pile) -> float:
         share, log_time = point

@@ -114,6 +114,14 @@ def test_level_and_memory_come_back_from_a_residual(true: SensorNoise) -> None:
         assert found.correlation_time == pytest.approx(true.correlation_time, rel=0.3)
 
 
+def test_three_samples_tell_nothing_of_their_noise() -> None:
+    """As many parameters as samples leave no residual, and no noise that explains it."""
+    blocks = Blocks(np.full(3, INTERVAL), np.ones(3), np.zeros(3))
+    record = Record(blocks, np.array([1e-3, -2e-3, 1e-3]), np.eye(3), np.ones((1, 3)))
+    start = SensorNoise(0.1, 0.1, 0.01)
+    assert estimate([record], start, INTERVAL) == start
+
+
 def _silence(wander: float, drift: float) -> list[Record]:
     """Return the force without contact of some trials, before and after a push."""
     samples, records = 3000, []
