@@ -503,7 +503,6 @@ def estimate(
     longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
-
     def cost(point: FloatArray, given: _Pile = pile) -> float:
         share, log_time = point
         if not limits[0] <= log_time <= limits[1]:
