@@ -593,7 +593,8 @@ class ArmPushController(ManagedCellNode):
         while not (self.stopping.is_set() or disconnecting.is_set()):
             try:
                 state = arm.read(timeout)[-1]
-            except DeviceError:
+            except (DeviceError, OSError):
+                # Let go of while it was waited for.
                 if disconnecting.is_set():
                     return
                 raise

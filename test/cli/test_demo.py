@@ -137,12 +137,13 @@ def test_ctrl_c_stops_everything(running: Demo) -> None:
     assert 'Traceback' not in ''.join(running.lines) + running.errors
 
 
-def test_a_node_that_dies_ends_the_demo_with_one_sentence(running: Demo) -> None:
+def test_the_demo_goes_on_with_a_node_that_died_and_says_so(running: Demo) -> None:
     os.kill(node_of(running.marker, 'phase_segmenter'), signal.SIGKILL)
-    assert running.code() == 1
+    assert running.code() == 0
     assert processes_of(running.marker) == []
-    assert len(running.errors.splitlines()) == 1
-    assert 'phase_segmenter ended with signal SIGKILL' in running.errors
+    said = ''.join(running.lines) + running.errors
+    assert 'ended with signal SIGKILL; it is started again.' in said
+    assert 'Traceback' not in said
 
 
 def test_the_demo_fits_what_it_has_just_recorded_and_real_data(
