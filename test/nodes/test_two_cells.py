@@ -60,7 +60,7 @@ def test_a_push_in_one_cell_leaves_the_other_alone(cells, probe, until):
         'a start with fresh readings',
     )
     until(lambda: any(item.data == 'push' for item in phases['cell2']), 'the touch')
-    assert remapped
+    until(lambda: remapped, 'the remapped wrench')
     until(lambda: any(item.data == 'done' for item in phases['cell2']), 'the end of the push')
     assert not phases['cell1']
     low, high = min(item.data for item in heights['cell1']), 0.08

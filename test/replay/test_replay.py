@@ -153,6 +153,11 @@ def nodes(domain: int) -> Iterator[Listener]:
                 ),
             }
         )
+        heard = (CONTACT_TIME, HOLD_TIME, RELEASE_TIME)
+        wait_until(
+            lambda: all(listener.node.count_publishers(topic.name) for topic in heard),
+            'the topics of the segmenter',
+        )
         yield listener
         listener.close()
 
