@@ -33,6 +33,8 @@ CLOCK_JUMP_NS: Final = 10_000_000_000
 """A reading that seems delayed by more tells that this machine's clock was set [ns]."""
 LEAST_STEP_NS: Final = 1000
 """Between the stamps of two readings lies at least this, unless the clock was set [ns]."""
+MOST_AHEAD_NS: Final = 1_000_000
+"""A last stamp that is further after an arrival tells that the clock was set back [ns]."""
 OTHER_RATE: Final = 0.05
 """A mean rate that is off by this share is another rate."""
 FOLLOWED_DRIFT: Final = 0.01
@@ -159,8 +161,11 @@ class ArrivalClock:
             return arrival_ns
         if not self._exact:
             self._follow(index, arrival_ns)
-        # A reading that is quicker than all before it must not overtake them.
-        self._last_ns = min(arrival_ns, max(arrival_ns - delay_ns, self._last_ns + LEAST_STEP_NS))
+        # A reading that is quicker than all before it must not overtake them, nor be at the same
+        # time as others of its burst; after its arrival it is by microseconds at most.
+        measured_ns, next_ns = arrival_ns - delay_ns, self._last_ns + LEAST_STEP_NS
+        set_back = next_ns - arrival_ns > MOST_AHEAD_NS
+        self._last_ns = measured_ns if set_back else max(measured_ns, next_ns)
         return self._last_ns
 
     def _is_another(self, delay_ns: int, arrival_ns: int) -> bool:
