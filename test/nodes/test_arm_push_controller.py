@@ -104,21 +104,15 @@ def test_a_push_goes_through_its_phases_at_the_commanded_speed_and_depth(control
     depth = BLOCK_HEIGHT - heights.min()
     # The touch is noticed at 0.2 N (0.06 mm); 0.2 s of latency on a loaded machine is 0.4 mm.
     assert 0.004 <= depth < 0.0045
-
-    def peak():
-        forces = np.array([contact_force(message) for message in tuple(wrenches)])
-        return forces.max() - np.median(forces[:100])
-
-    # A spring holds its force; the largest of some thousand readings with 0.022 N of noise. On a
-    # loaded machine they are heard later than the phases.
-    until(lambda: peak() > SPRING1_STIFFNESS * depth - 0.15, 'the force of the hold')
-    assert peak() == pytest.approx(SPRING1_STIFFNESS * depth, abs=0.15)
     # Within the lead of 8 ms and the latency at the release speed.
     assert heights[-1] == pytest.approx(BLOCK_HEIGHT + QUICK_PUSH['clearance'], abs=0.003)
     report = values_from_status(reports[-1])
     assert float(report['depth_m']) == pytest.approx(depth, abs=0.2e-3)
-    largest = max(map(contact_force, tuple(wrenches)))
-    assert float(report['peak_force_N']) == pytest.approx(largest, abs=0.1)
+    # A spring holds its force; the largest of some thousand readings with 0.022 N of noise. The
+    # controller's own: a listener on a loaded machine loses some.
+    zero = np.median([contact_force(message) for message in wrenches[:100]])
+    peak = float(report['peak_force_N']) - zero
+    assert peak == pytest.approx(SPRING1_STIFFNESS * depth, abs=0.15)
     assert report['overshoot_N'] == '0'
 
 
