@@ -748,6 +748,8 @@ def _bend(
         return None
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
     near_t = t[chosen]
+    if near_t.size == 0:
+        return None
     miss = value[chosen] - np.where(
         near_t < meeting, level + slope * near_t, next_level + next_slope * near_t
     )
