@@ -157,3 +157,11 @@ def test_campaign_time_and_depth_are_those_of_the_campaign() -> None:
     made, _ = prepare([(trial, PHASES), (later, PHASES)])
     assert [t.campaign_time for t in made] == pytest.approx([0.0, 60.0])
     assert made[0].reference_depth == pytest.approx(0.006, rel=1e-3)
+
+
+def test_a_corner_within_a_gap_of_the_record_does_no_harm() -> None:
+    t = np.arange(0.0, 20.0, 0.002)
+    kept = np.abs(t[:, np.newaxis] - np.array(CORNERS)).min(axis=1) > 0.4
+    noise = np.random.default_rng(4).normal(0.0, 1e-6, t.size)
+    path = tool_path(Signal(t[kept], (_tool(t, CORNERS, DEPTHS) + noise)[kept]), PHASES)
+    assert np.abs(path.at(t[kept]) - _tool(t, CORNERS, DEPTHS)[kept]).max() < 1e-5
