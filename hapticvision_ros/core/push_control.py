@@ -468,6 +468,7 @@ class PushControl:
         self._touch_height: float | None = None
         self._candidate_height = retract_height
         self._touch_readings = 0
+        self._in_gap = False
         self._last_force = Reading(-inf, 0.0)
         self._rise = 0.0
         self._changed = t
@@ -725,10 +726,12 @@ class PushControl:
                     t,
                 )
                 return 0.0
-            if (
+            # Once slow it stays slow: the noise of the height must not set it off again.
+            self._in_gap = self._in_gap or (
                 height - goal.approach_speed * self._limits.stop_lead
-                > goal.surface_height + goal.approach_gap
-            ):
+                <= goal.surface_height + goal.approach_gap
+            )
+            if not self._in_gap:
                 speed = goal.approach_speed
         return self._downward(t, height, speed, 'without touching anything')
 

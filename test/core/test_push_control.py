@@ -153,6 +153,16 @@ def test_without_a_planned_surface_the_whole_approach_is_made_at_the_push_speed(
     assert {command.push_velocity for _, _, command in bench.log} == {0.0, GOAL.push_speed}
 
 
+def test_the_noise_of_the_height_does_not_set_off_a_slowed_approach_again():
+    bench = Bench()
+    noise = random.Random(1)
+    while bench.control.phase == 'approach':
+        bench.step(tool=Reading(bench.t, bench.height + noise.gauss(0.0, 0.1e-3)))
+    speeds = [command.push_velocity for _, _, command in bench.log]
+    changes = [speed for k, speed in enumerate(speeds) if k == 0 or speed != speeds[k - 1]]
+    assert changes == [0.0, GOAL.approach_speed, GOAL.push_speed]
+
+
 def test_the_release_ends_at_the_clearance_above_the_touch():
     bench = Bench()
     bench.run_to_the_end()
