@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         export,
         Fit,
         fit,
+        haptic,
         Model,
         profile_intervals,
         Specimen,
@@ -40,6 +41,7 @@ __all__ = [
     'describe',
     'export',
     'fit',
+    'haptic',
     'profile_intervals',
 ]
 

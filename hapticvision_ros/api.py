@@ -36,9 +36,10 @@ from hapticvision_ros.core.classification import Classification
 from hapticvision_ros.core.classification import classify as classify_record
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.export import export as export_model
-from hapticvision_ros.core.export import Format, Specimen
+from hapticvision_ros.core.export import Format, known_values, Specimen
 from hapticvision_ros.core.fit.campaign import Fit, fit
 from hapticvision_ros.core.fit.intervals import Interval, profile_intervals
+from hapticvision_ros.core.haptic import HapticStepper
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.core.records import Trial as Record
 from hapticvision_ros.core.relaxation import Point
@@ -48,6 +49,7 @@ __all__ = [
     'Campaign',
     'Classification',
     'Fit',
+    'HapticStepper',
     'Interval',
     'Model',
     'Specimen',
@@ -56,6 +58,7 @@ __all__ = [
     'describe',
     'export',
     'fit',
+    'haptic',
     'profile_intervals',
 ]
 
@@ -223,6 +226,33 @@ def export(
         shortest_time=shortest_time,
         point=point,
         correlation=result.correlation,
+    )
+
+
+def haptic(result: Fit) -> HapticStepper:
+    """
+    Return the fitted body as a step function for a haptic renderer.
+
+    Parameters
+    ----------
+    result : Fit
+        The fit.
+
+    Returns
+    -------
+    HapticStepper
+        At rest; ``step(displacement)`` gives the force 1 ms later.
+
+    Raises
+    ------
+    UsageError
+        If the trials have not told a parameter, or an effect has no step of its own.
+
+    """
+    return HapticStepper(
+        result.model,
+        known_values(result.model, result.parameters),
+        reference_depth=result.problem.trials[0].reference_depth,
     )
 
 
