@@ -20,7 +20,7 @@ from contextlib import suppress
 import os
 from pathlib import Path
 import tempfile
-from typing import Final
+from typing import Final, TYPE_CHECKING
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import CampaignAnalysis
@@ -35,6 +35,9 @@ from hapticvision_ros.report.sections import (
     summary,
     trials,
 )
+
+if TYPE_CHECKING:
+    from jinja2 import FileSystemBytecodeCache
 
 type Fill = Callable[[CampaignAnalysis, UnitSystem], Mapping[str, object]]
 
@@ -74,6 +77,7 @@ def render(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> str:
 
     environment = Environment(
         loader=PackageLoader('hapticvision_ros.report'),
+        bytecode_cache=_compiled_templates(),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -86,6 +90,14 @@ def render(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> str:
     style = environment.get_template('style.css').render()
     page = environment.get_template('page.html.j2')
     return page.render(title=TITLE, style=style, sections=sections) + '\n'
+
+
+def _compiled_templates() -> 'FileSystemBytecodeCache | None':
+    """Return where compiled templates are kept beside those of Python, if that can be written."""
+    from jinja2 import FileSystemBytecodeCache
+
+    folder = Path(__file__).with_name('__pycache__')
+    return FileSystemBytecodeCache(str(folder)) if os.access(folder, os.W_OK) else None
 
 
 def write_report(path: Path, campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> None:
