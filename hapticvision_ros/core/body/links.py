@@ -1,0 +1,174 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The law of a link: the chain of the identified model, in the numbers of one link.
+
+The law is that of a link along an edge of the lattice. A diagonal of weight w and length L carries
+``w L/a`` times the force that an edge, of length a, carries at the same strain, so that all links
+have one law in stress and strain, the effects included.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+import math
+from typing import Final
+
+from hapticvision_ros.core.models.chain import REFERENCE_RATE
+
+EFFECTS: Final = (
+    'yield_force',
+    'series_spring',
+    'second_retardation',
+    'strain_stiffening',
+    'shear_thinning',
+    'damage',
+)
+"""Effects of the object that a link can carry."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkLaw:
+    """
+    What a link along an edge does.
+
+    Parameters
+    ----------
+    stiffness : float
+        k of the first Kelvin-Voigt unit [N/m].
+    bounce_viscosity : float
+        c1, beside k [N.s/m]; zero for a spring.
+    flow_viscosity : float
+        c2, in series [N.s/m].
+    yield_force : float
+        Threshold of the slider beside c2 [N].
+    series_stiffness : float
+        Instantaneous spring in series [N/m]; infinite for none.
+    unit_stiffness, unit_viscosity : float
+        A second Kelvin-Voigt unit in series [N/m, N.s/m]; infinite for none.
+    stiffening : float
+        b of k (1 + b z^2) [1/m^2].
+    flow_index : float
+        Exponent n of c2 [-]; 1 is a dashpot.
+    reference_rate : float
+        Rate at which a power law has the viscosity c2 [m/s].
+    damage : float
+        Share of k that is lost when its stretch has reached `reference_stretch` [-].
+    reference_stretch : float
+        [m]
+
+    """
+
+    stiffness: float
+    bounce_viscosity: float
+    flow_viscosity: float
+    yield_force: float = 0.0
+    series_stiffness: float = math.inf
+    unit_stiffness: float = math.inf
+    unit_viscosity: float = math.inf
+    stiffening: float = 0.0
+    flow_index: float = 1.0
+    reference_rate: float = REFERENCE_RATE
+    damage: float = 0.0
+    reference_stretch: float = 1.0
+
+    @property
+    def plain(self) -> bool:
+        """Return whether the mean force of a step is piecewise linear in the step's stretch."""
+        return self.stiffening == 0.0 and self.damage == 0.0 and self.flow_index == 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """
+    What a push of one metre would do to the links of an elastic lattice: one static solve.
+
+    Parameters
+    ----------
+    stiffness : float
+        Force on the tool per depth, per stiffness of an edge link [-]: the G of ``k = K1 / G``.
+    share : float
+        Root mean square stretch of the links per depth, brought to the length of an edge and
+        weighted by their energy [-].
+    first_share : float
+        Sum of the links' absolute stretches per depth, each brought to an edge and weighted by
+        its weight and length [-]: the force of a body that flows everywhere at a threshold.
+
+    """
+
+    stiffness: float
+    share: float
+    first_share: float
+
+
+def link_law(parameters: Mapping[str, float], gauge: Gauge, *, reference_depth: float) -> LinkLaw:
+    """
+    Return the links of a body that answers as identified, to first order.
+
+    Exact for the linear elements of a body that keeps its contact; a first guess for the others,
+    which `calibration.calibrate` makes good.
+
+    Parameters
+    ----------
+    parameters : mapping of str to float
+        Of the identified model, by name, SI: K1, C1, C2, and F_y, K_0, K_2, C_3, beta, n, D where
+        the model has them. A name that no link can carry is left out of account.
+    gauge : Gauge
+        From `calibration.gauge`.
+    reference_depth : float
+        d_ref of the model, the deepest push of the campaign [m].
+
+    """
+    scale = 1.0 / gauge.stiffness
+    share = gauge.share
+    return LinkLaw(
+        stiffness=parameters['K1'] * scale,
+        bounce_viscosity=parameters['C1'] * scale,
+        flow_viscosity=parameters['C2'] * scale,
+        yield_force=parameters.get('F_y', 0.0) / gauge.first_share,
+        series_stiffness=parameters.get('K_0', math.inf) * scale,
+        unit_stiffness=parameters.get('K_2', math.inf) * scale,
+        unit_viscosity=parameters.get('C_3', math.inf) * scale,
+        stiffening=parameters.get('beta', 0.0) / share**2,
+        flow_index=parameters.get('n', 1.0),
+        reference_rate=REFERENCE_RATE * share,
+        damage=parameters.get('D', 0.0),
+        reference_stretch=reference_depth * share,
+    )
+
+
+_NUMBERS: Final = {
+    'K1': 'stiffness',
+    'C1': 'bounce_viscosity',
+    'C2': 'flow_viscosity',
+    'F_y': 'yield_force',
+    'K_0': 'series_stiffness',
+    'K_2': 'unit_stiffness',
+    'C_3': 'unit_viscosity',
+    'beta': 'stiffening',
+    'n': 'flow_index',
+    'D': 'damage',
+}
+
+
+def scaled(law: LinkLaw, factors: Mapping[str, float]) -> LinkLaw:
+    """Return a law with the numbers of named parameters multiplied."""
+    return replace(
+        law,
+        **{
+            _NUMBERS[name]: getattr(law, _NUMBERS[name]) * factor
+            for name, factor in factors.items()
+            if name in _NUMBERS
+        },
+    )
