@@ -421,8 +421,9 @@ def _draft(
     )
     growth = 0.0
     for effect in model.declared:
-        own = values[first : first + len(effect.parameters)]
-        first += len(effect.parameters)
+        last = first + len(effect.parameters)
+        own = values[first:last]
+        first = last
         if effect.kind != 'object':
             continue
         if effect.name in _COUNTED_FROM_DEPTH and not (reference_depth or 0.0) > 0.0:
