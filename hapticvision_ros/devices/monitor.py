@@ -38,6 +38,8 @@ class StreamHealth:
         Readings that were not newer than the one before, and left out.
     clock_jumps : int
         How often the stamps went back so far that the clock must have been set.
+    far_off : int
+        Readings whose stamp was so far from now that they were left out, by whoever takes them.
 
     """
 
@@ -46,6 +48,7 @@ class StreamHealth:
     largest_gap: float = 0.0
     not_newer: int = 0
     clock_jumps: int = 0
+    far_off: int = 0
 
 
 class StreamMonitor:

@@ -244,6 +244,15 @@ PARAMETERS: Final = (
         1.0,
     ),
     ParameterSpec(
+        'largest_clock_error',
+        'double',
+        's',
+        "A reading whose stamp is further from this machine's time is garbage and left out; the "
+        'simulated world stamps by its own clock, others by the arrival.',
+        1.0,
+        1e9,
+    ),
+    ParameterSpec(
         'tare_time',
         'double',
         's',
@@ -373,6 +382,16 @@ class LoadCellDriver(CellNode):
 
     def _take(self, sample: WrenchSample) -> None:
         largest_gap = self.parameters.real('largest_gap')
+        off = abs(sample.stamp_ns - time.time_ns()) / NS_PER_S
+        if off > self.parameters.real('largest_clock_error'):
+            # A bag that holds such a stamp would last for decades.
+            self._monitor.health.far_off += 1
+            self._warn(
+                'far off',
+                f"The load cell gave a reading with a stamp {off:.3g} s off this machine's time; "
+                'it was left out.',
+            )
+            return
         stamp_ns = sample.stamp_ns - self._latency_ns
         if not self._monitor.take(stamp_ns, largest_gap):
             self._warn(
@@ -492,6 +511,7 @@ class LoadCellDriver(CellNode):
             'largest_gap_s': health.largest_gap,
             'not_newer': health.not_newer,
             'clock_jumps': health.clock_jumps,
+            'far_off': health.far_off,
             'saturated': self._saturated,
             'invalid': self._faulty,
             'filter_delay_s': self._low_pass.delay,
@@ -502,6 +522,10 @@ class LoadCellDriver(CellNode):
             findings.append(Finding(Level.ERROR, 'The load cell is saturated.'))
         if self._news('faulty', self._faulty):
             findings.append(Finding(Level.ERROR, 'The load cell reports faulty readings.'))
+        far_off = self._news('far_off', health.far_off)
+        if far_off:
+            said = f"{far_off} readings had stamps far off this machine's time and were left out."
+            findings.append(Finding(Level.WARN, said))
         new_gaps = self._news('gaps', health.gaps)
         if new_gaps:
             findings.append(Finding(Level.WARN, f'Readings are missing: {new_gaps} new gaps.'))

@@ -16,6 +16,9 @@
 
 import math
 import signal
+import subprocess
+import sys
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hapticvision_ros.bag.contract import TARE, WRENCH
@@ -24,6 +27,7 @@ from hapticvision_ros.nodes.diagnostics import DIAGNOSTICS
 from hapticvision_ros.sim.emulators.net_ft import NetFtEmulator
 from hapticvision_ros.sim.emulators.serial_cell import Firmware, SerialCellEmulator
 from hapticvision_ros.sim.emulators.sources import constant
+from hapticvision_ros.sim.faults import FaultLink
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
@@ -277,3 +281,55 @@ def test_a_load_that_moves_is_no_zero(driver, probe, until):
     answer = probe.call(TARE, Trigger.Request())
     assert not answer.success
     assert 'wait until nothing moves' in answer.message
+
+
+@pytest.fixture
+def faulty_world():
+    """Run a simulated world at 250 readings a second that can be told to go wrong."""
+    code = 'import sys; from hapticvision_ros.sim.faults import main; sys.exit(main())'
+    command = [sys.executable, '-c', code, '--object', 'spring1', '--force-rate', '250']
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        port = int(process.stdout.readline().split()[1])
+        link = FaultLink(port)
+        yield port, link
+        link.close()
+        process.terminate()
+
+
+def test_a_reading_with_a_stamp_far_from_now_is_left_out_and_counted(
+    faulty_world, start_node, probe, until, status
+):
+    port, link = faulty_world
+    start_node('load_cell_driver', {'simulated_world_port': port, 'rate': 250.0})
+    heard = probe.listen(WRENCH)
+    until(lambda: len(heard) >= 50, 'readings')
+    link.ask('distort', stream='force', how='garbage')
+    told = status.wait('readings', lambda s: 'far off' in s.message, 'the readings left out')
+    assert told.level == DiagnosticStatus.WARN
+    assert int(values_from_status(told)['far_off']) > 0
+    seen = len(heard)
+    link.ask('heal')
+    until(lambda: len(heard) >= seen + 50, 'readings again')
+    now_ns = time.time_ns()
+    # The shipped bound is a day: whatever was published lies within the test.
+    assert all(abs(ns_from_stamp(m.header.stamp) - now_ns) < 120e9 for m in heard)
+
+
+def test_a_tare_after_the_clock_was_set_back_averages_nothing_from_before(
+    faulty_world, start_node, probe, until
+):
+    port, link = faulty_world
+    start_node('load_cell_driver', {'simulated_world_port': port, 'tare_time': 0.2})
+    heard = probe.listen(WRENCH)
+    until(lambda: len(heard) >= 100, 'readings before')
+    link.ask('distort', stream='force', how='an hour back')
+
+    def back():
+        later = [m for m in heard if ns_from_stamp(m.header.stamp) < time.time_ns() - 3000 * 10**9]
+        return len(later) >= 100
+
+    until(back, 'readings after')
+    answer = probe.call(TARE, Trigger.Request())
+    assert answer.success, answer.message
+    # In 0.2 s there are 50 readings; those from before would never have left.
+    assert 40 <= int(answer.message.split()[-2]) <= 51, answer.message
