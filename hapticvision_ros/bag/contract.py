@@ -278,14 +278,16 @@ EXPERIMENT_FEEDBACK: Final = _cell_topic(
     'diagnostic_msgs/msg/DiagnosticStatus',
     '-',
     '-',
-    'Progress of the running experiment: trial, number of trials, phase, time left.',
+    'Progress of the running experiment: trial, number of trials, phase, time left; of an '
+    'autonomous one also what was found and why the trial was chosen.',
 )
 EXPERIMENT_RESULT: Final = _cell_topic(
     '/experiment/result',
     'diagnostic_msgs/msg/DiagnosticStatus',
     '-',
     '-',
-    'How the last experiment ended, and where its bags are.',
+    'How the last experiment ended, and where its bags are; of an autonomous one also why it '
+    'went no further, and the last diagnosis.',
 )
 HEARTBEAT: Final = Topic(
     name='/experiment/heartbeat',
@@ -411,7 +413,8 @@ RESET: Final = Service(
 START_EXPERIMENT: Final = Service(
     '/experiment/start',
     'std_srvs/srv/Trigger',
-    "Send a goal: the grid in the orchestrator's present parameters; answers with the goal's id.",
+    "Send a goal: the grid in the orchestrator's present parameters, with `autonomous` also the "
+    "pushes that the analysis asks for; answers with the goal's id.",
 )
 CANCEL_EXPERIMENT: Final = Service(
     '/experiment/cancel', 'action_msgs/srv/CancelGoal', 'Cancel the running goal.'

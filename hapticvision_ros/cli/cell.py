@@ -46,6 +46,7 @@ NEEDS_WORLD: Final = ('range_sensor_driver', 'load_cell_driver', ARM, ORCHESTRAT
 WORLD_DEADLINE: Final = 30.0
 CLIENT_GRACE: Final = 45.0
 """How long the client may take to cancel: the tool has to retract [s]."""
+BUDGET_OPTIONS: Final = ('budget_trials', 'budget_time', 'precision')
 GOAL_OPTIONS: Final = (
     'speeds',
     'depths',
@@ -54,6 +55,8 @@ GOAL_OPTIONS: Final = (
     'hold_mode',
     'recover_time',
     'rest_time',
+    'autonomous',
+    *BUDGET_OPTIONS,
 )
 RESTARTS: Final = 5
 """How often a node of the cell is started again when it has died."""
@@ -91,6 +94,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     goal.add_argument('--recover-time', type=float, metavar='S', help='time after release [s]')
     goal.add_argument('--rest-time', type=float, metavar='S', help='pause between trials [s]')
+    goal.add_argument(
+        '--autonomous',
+        action=argparse.BooleanOptionalAction,
+        help='go on after the grid with the pushes that the analysis of the bags asks for, until '
+        'the effect is decided, the parameters are tight enough, or the budget is spent',
+    )
+    goal.add_argument('--budget-trials', type=int, metavar='N', help='such pushes at most')
+    goal.add_argument(
+        '--budget-time', type=float, metavar='S', help='time after the grid at most [s]; 0: any'
+    )
+    goal.add_argument(
+        '--precision',
+        type=float,
+        help='relative standard error that every parameter is to reach; 0: as soon as the effect '
+        'is decided',
+    )
     goal.add_argument('--out', type=Path, metavar='DIR', help='folder for the bags')
 
 
@@ -134,14 +153,24 @@ def _check(args: argparse.Namespace) -> None:
 
 def _check_goal(args: argparse.Namespace, world: 'WorldConfig') -> None:
     """Refuse an experiment that the arm would refuse, while nothing runs."""
+    from hapticvision_ros.core.autonomy import Budget
     from hapticvision_ros.core.experiment import ExperimentGoal
     from hapticvision_ros.core.push_control import check_goal, PushGoal, PushLimits
 
     asked = _parameters(args.config, ORCHESTRATOR)
     given = {name: value for name in GOAL_OPTIONS if (value := getattr(args, name)) is not None}
     asked = {name: asked[name] for name in GOAL_OPTIONS} | given
+    given_budget = [name for name in BUDGET_OPTIONS if name in given]
+    if given_budget and not asked['autonomous']:
+        options = ', '.join('--' + name.replace('_', '-') for name in given_budget)
+        raise UsageError(f'{options} belongs to an autonomous experiment: add --autonomous.')
+    trials, time, precision = (asked.pop(name) for name in BUDGET_OPTIONS)
+    budget = Budget(trials, time, precision)
     goal = ExperimentGoal(
-        push_speeds=tuple(asked.pop('speeds')), depths=tuple(asked.pop('depths')), **asked
+        push_speeds=tuple(asked.pop('speeds')),
+        depths=tuple(asked.pop('depths')),
+        budget=budget if asked.pop('autonomous') else None,
+        **asked,
     )
     arm = _parameters(args.config, ARM)
     limits = PushLimits(**{field.name: arm[field.name] for field in fields(PushLimits)})
@@ -152,8 +181,8 @@ def _check_goal(args: argparse.Namespace, world: 'WorldConfig') -> None:
             | {
                 'push_speed': trial.push_speed,
                 'depth': trial.depth,
-                'hold_time': goal.hold_time,
-                'hold_mode': goal.hold_mode,
+                'hold_time': trial.hold_time,
+                'hold_mode': trial.hold_mode,
                 'recover_time': goal.recover_time,
             },
             surface_height=world.block.height,
@@ -213,7 +242,10 @@ def _goal(args: argparse.Namespace) -> list[str]:
     options = ['--output-folder', str(args.out.absolute())]
     for name in GOAL_OPTIONS:
         value = getattr(args, name)
-        if value is not None:
+        option = name.replace('_', '-')
+        if isinstance(value, bool):
+            options.append(f'--{option}' if value else f'--no-{option}')
+        elif value is not None:
             values = value if isinstance(value, list) else [value]
-            options += ['--' + name.replace('_', '-'), *map(str, values)]
+            options += [f'--{option}', *map(str, values)]
     return options

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The experiment's plan and its goal's life: a grid of pushes, one after the other.
+The experiment's plan and its goal's life: a grid of pushes, and those that its analysis asks for.
 
 Nothing here touches ROS, a clock or a file: the node asks which step is due, carries it out, and
 tells how it ended. The rules on failure stand in `Experiment`.
@@ -25,12 +25,13 @@ References
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import auto, Enum, IntEnum
 import itertools
 import math
 from typing import Final
 
+from hapticvision_ros.core.autonomy import Budget, decide, Decision, Ending, Findings, Push, Spent
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.units import MM
 
@@ -57,8 +58,8 @@ class Step(Enum):
 
     `CHECK` asks whether the cell allows the goal, before its first trial. `RETRACT` sees to it
     that no tool was left low, before the first trial and after one that failed, also when that
-    was the last. `STOP` is gone through only after a cancel or a failure in mid-push, `END` is
-    the last.
+    was the last. `STOP` is gone through only after a cancel or a failure in mid-push, `ANALYSE`
+    only where the experiment chooses trials by itself once its grid is done; `END` is the last.
     """
 
     BRING_UP = auto()
@@ -74,6 +75,7 @@ class Step(Enum):
     PUSH = auto()
     STOP = auto()
     FINISH = auto()
+    ANALYSE = auto()
     REST = auto()
     DISABLE = auto()
     END = auto()
@@ -87,10 +89,15 @@ class Outcome(Enum):
     ABORTED = 'aborted'
 
 
+def bag_prefix(number: int) -> str:
+    """Return what the name of a trial's bag begins with, before an underscore."""
+    return f'trial_{number:03d}'
+
+
 @dataclass(frozen=True, slots=True)
 class PlannedTrial:
     """
-    One push of the grid.
+    One push of the grid, or one that the analysis has asked for.
 
     Parameters
     ----------
@@ -101,7 +108,13 @@ class PlannedTrial:
     depth : float
         How far the tool goes in after it has touched [m].
     repeat : int
-        Which repeat of this speed and depth, from 1.
+        Which repeat of this push, from 1.
+    hold_time : float
+        How long the tool holds its depth; in an auto hold, at most [s].
+    hold_mode : {'fixed', 'auto'}
+        Whether the hold may end by itself.
+    reason : str
+        Why the analysis has asked for it; empty for the grid's.
 
     """
 
@@ -109,6 +122,9 @@ class PlannedTrial:
     push_speed: float
     depth: float
     repeat: int
+    hold_time: float
+    hold_mode: str
+    reason: str = ''
 
     @property
     def name(self) -> str:
@@ -116,7 +132,7 @@ class PlannedTrial:
         speed = f'{self.push_speed / MM:.6g}'
         if '.' not in speed and 'e' not in speed:
             speed += '.0'
-        return f'trial_{self.number:03d}_{speed}mm_s_{self.depth / MM:.6g}mm_r{self.repeat}'
+        return f'{bag_prefix(self.number)}_{speed}mm_s_{self.depth / MM:.6g}mm_r{self.repeat}'
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +192,8 @@ class ExperimentGoal:
         Pause between two trials [s], in which a new sample is put in place.
     hold_mode : {'fixed', 'auto'}
         Whether a hold ends by itself once it has lasted the relaxation time.
+    budget : Budget or None
+        How long to go on with the pushes that the analysis asks for; None to end with the grid.
 
     Raises
     ------
@@ -191,6 +209,7 @@ class ExperimentGoal:
     recover_time: float
     rest_time: float
     hold_mode: str = 'fixed'
+    budget: Budget | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'push_speeds', _positive('speeds', self.push_speeds))
@@ -219,7 +238,7 @@ class ExperimentGoal:
         """
         grid = itertools.product(range(1, self.repeats + 1), self.push_speeds, self.depths)
         return tuple(
-            PlannedTrial(number, speed, depth, repeat)
+            PlannedTrial(number, speed, depth, repeat, self.hold_time, self.hold_mode)
             for number, (repeat, speed, depth) in enumerate(grid, start=1)
         )
 
@@ -237,21 +256,30 @@ class Deadlines:
         For the touch of the object after the push has been started [s].
     margin : float
         Added to the time that a push must take [s].
+    analysis : float
+        For an analysis of the trials so far [s].
 
     """
 
     service: float
     approach: float
     margin: float
+    analysis: float = math.inf
 
     def of(self, step: Step, goal: ExperimentGoal, trial: PlannedTrial) -> float:
         """Return how long `step` may take [s]."""
         if step is Step.REST:
             return math.inf
+        if step is Step.ANALYSE:
+            return self.analysis
         if step is Step.PUSH:
-            moving = trial.depth / trial.push_speed
-            return self.approach + moving + goal.hold_time + goal.recover_time + self.margin
+            return self.approach + pushing_time(goal, trial) + self.margin
         return self.service
+
+
+def pushing_time(goal: ExperimentGoal, trial: PlannedTrial | Push) -> float:
+    """Return how long a push takes at least, without approach and retraction [s]."""
+    return trial.depth / trial.push_speed + trial.hold_time + goal.recover_time
 
 
 _NEXT: Final = {
@@ -270,6 +298,8 @@ _NEXT: Final = {
 }
 ARM_ABORTED: Final = 'the arm aborted the push'
 _RECORDING: Final = (Step.RECORD, Step.START, Step.PUSH)
+_PUSHED: Final = (Step.STOP, Step.FINISH, Step.ANALYSE, Step.DISABLE, Step.END)
+"""Steps in which the trial at hand has been pushed."""
 
 
 class Experiment:
@@ -286,6 +316,9 @@ class Experiment:
     next trial begins with waiting for it. When `max_failures` trials in a row went that way the
     experiment is aborted. A peer that does not answer in time before a push, and a disk that
     cannot be written, abort the experiment at once. Whatever was recorded until then is kept.
+
+    A goal with a budget goes on after its grid: each `ANALYSE` is answered by `found`, which adds
+    a trial or ends the experiment, or by `analysis_failed`, which aborts it.
 
     Parameters
     ----------
@@ -310,6 +343,10 @@ class Experiment:
         What the arm is doing; None before it has said so.
     waiting_for : str
         What the owner waits for in this step, for the sentence on a deadline that is over.
+    findings : Findings or None
+        What the last analysis has found.
+    decision : Decision or None
+        What it has led to.
 
     """
 
@@ -323,6 +360,10 @@ class Experiment:
         self.reason = ''
         self.arm_phase: str | None = None
         self.waiting_for = ''
+        self.findings: Findings | None = None
+        self.decision: Decision | None = None
+        self._pushes: list[Push] = []
+        self._grid_over: float | None = None
         self._deadlines = deadlines
         self._max_failures = max_failures
         self._index = 0
@@ -372,18 +413,14 @@ class Experiment:
         goal = self.goal
         if self.status.terminal:
             return 0.0
-
-        def pushing(trial: PlannedTrial) -> float:
-            return trial.depth / trial.push_speed + goal.hold_time + goal.recover_time
-
         following = self._index + 1
-        left = sum(goal.rest_time + pushing(trial) for trial in self.trials[following:])
-        if self._leaving or self._step in (Step.STOP, Step.FINISH, Step.DISABLE, Step.END):
+        left = sum(goal.rest_time + pushing_time(goal, trial) for trial in self.trials[following:])
+        if self._leaving or self._step in _PUSHED:
             return left
         if self._step is Step.REST:
             return max(0.0, left - (now - self.entered))
         spent = now - self.entered if self._step is Step.PUSH else 0.0
-        return left + max(0.0, pushing(self.trial) - spent)
+        return left + max(0.0, pushing_time(goal, self.trial) - spent)
 
     def done(self, now: float) -> None:
         """Take note that the present step (but `PUSH` and `FINISH`) has been carried out."""
@@ -475,6 +512,8 @@ class Experiment:
             reason = f'{self.trial.name}: waited {limit:.3g} s for {doing}'
             if self._step is Step.PUSH:
                 self.lost(reason, now)
+            elif self._step is Step.ANALYSE:
+                self.analysis_failed(f'waited {limit:.3g} s for {doing}', now)
             elif self._step is Step.STOP and self._trial_failed:
                 # Who does not answer cannot be stopped; the next trial begins with seeing to it.
                 self._enter(Step.FINISH, now)
@@ -526,13 +565,97 @@ class Experiment:
                     f'{self._trial_reason}'
                 )
         over = self._index + 1 == len(self.trials)
-        if over or self.reason or self.status is GoalStatus.CANCELING:
-            # Also an arm that has said "aborted" may have left its tool low: it may have lost its
-            # height, or its controller was ended.
-            self._leaving = self.arm_phase not in (None, 'done')
-            self._enter(Step.BRING_UP if self._leaving else Step.DISABLE, now)
-        else:
+        if self.reason or self.status is GoalStatus.CANCELING:
+            self._leave(now)
+        elif not over:
             self._enter(Step.REST, now)
+        elif self.goal.budget is not None and self.complete:
+            if self._grid_over is None:
+                self._grid_over = now
+            self._enter(Step.ANALYSE, now)
+        else:
+            self._leave(now)
+
+    @property
+    def complete(self) -> list[TrialOutcome]:
+        """Return the trials that are of use."""
+        return [item for item in self.outcomes if item.outcome is Outcome.COMPLETE]
+
+    @property
+    def chosen_failed(self) -> bool:
+        """Whether a push that the analysis has asked for came to nothing."""
+        return any(
+            item.trial.reason and item.outcome is not Outcome.COMPLETE for item in self.outcomes
+        )
+
+    def found(self, findings: Findings, now: float) -> None:
+        """
+        Take note of what the complete trials tell, and go on to the next push or to the end.
+
+        Parameters
+        ----------
+        findings : Findings
+            From the trials of `complete`, in their order.
+        now : float
+            Time [s].
+
+        """
+        goal = self.goal
+        assert goal.budget is not None
+        assert self._grid_over is not None
+        self.findings = findings
+        self.decision = decide(
+            findings,
+            goal.budget,
+            Spent(tuple(self._pushes), now - self._grid_over),
+            lambda push: goal.rest_time + pushing_time(goal, push),
+        )
+        push = self.decision.push
+        if push is None:
+            self._leave(now)
+            return
+        self._pushes.append(push)
+        self.trials = (*self.trials, self._planned(push))
+        self._enter(Step.REST, now)
+
+    def _planned(self, push: Push) -> PlannedTrial:
+        """Return a push that the analysis has asked for as the next trial."""
+        number = len(self.trials) + 1
+        if push.like is not None:
+            like = self.complete[push.like].trial
+            same = [
+                each.repeat
+                for each in self.trials
+                if (each.push_speed, each.depth, each.hold_time)
+                == (like.push_speed, like.depth, like.hold_time)
+            ]
+            return replace(like, number=number, repeat=max(same) + 1, reason=push.reason)
+        return PlannedTrial(
+            number, push.push_speed, push.depth, 1, push.hold_time, 'fixed', push.reason
+        )
+
+    def analysis_failed(self, reason: str, now: float) -> None:
+        """
+        Take note that the trials could not be analysed: the experiment ends, they are kept.
+
+        Parameters
+        ----------
+        reason : str
+            One sentence.
+        now : float
+            Time [s].
+
+        """
+        self.decision = Decision(None, Ending.FAILED, reason)
+        self.reason = self.reason or f'{Ending.FAILED.value}: {reason}'
+        self._leave(now)
+
+    def _leave(self, now: float) -> None:
+        """End the trials, and see to a tool that may have been left low."""
+        # Also an arm that has said "aborted" may have left its tool low: it may have lost its
+        # height, or its controller was ended.
+        self._leaving = self.arm_phase not in (None, 'done')
+        self._enter(Step.BRING_UP if self._leaving else Step.DISABLE, now)
 
     def _fail_trial(self, reason: str) -> None:
         """Mark the trial at hand; its first reason stands."""

@@ -40,11 +40,12 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.core.errors import HapticVisionError, UsageError
 from hapticvision_ros.nodes.conversions import values_from_status
 from hapticvision_ros.nodes.qos import create_client, create_subscription
+from hapticvision_ros.nodes.runtime import initialise
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 NAME: Final = 'experiment_client'
@@ -83,6 +84,7 @@ class ExperimentClient:
         self._status = 0
         self._heard = time.monotonic()
         self._told = ''
+        self._found = self._chosen = ''
         self._fitted = 0
         self._interrupted = False
         create_subscription(self._node, EXPERIMENT_FEEDBACK, self._on_feedback)
@@ -187,6 +189,14 @@ class ExperimentClient:
         if not self._goal_id or values.get('goal_id') != self._goal_id:
             return
         self._heard = time.monotonic()
+        found = values.get('found', '')
+        if found != self._found:
+            self._found = found
+            print(f'found: {found}', flush=True)
+        chosen = values.get('chosen because', '')
+        if chosen and values['name'] != self._chosen:
+            self._chosen = values['name']
+            print(f'next: {self._chosen}, since {chosen}', flush=True)
         line = f'trial {values["trial"]} of {values["trials"]} ({values["name"]}): '
         if line + message.message != self._told:
             self._told = line + message.message
@@ -230,17 +240,29 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument('--recover-time', type=float, metavar='S')
     parser.add_argument('--rest-time', type=float, metavar='S')
     parser.add_argument('--output-folder', metavar='DIR')
+    parser.add_argument(
+        '--autonomous',
+        action=argparse.BooleanOptionalAction,
+        help='go on after the grid with the pushes that the analysis asks for',
+    )
+    parser.add_argument('--budget-trials', type=int, help='how many of them at most')
+    parser.add_argument('--budget-time', type=float, metavar='S', help='for how long at most')
+    parser.add_argument(
+        '--precision', type=float, help='relative standard error that is good enough'
+    )
     return parser.parse_args(argv)
 
 
 def main() -> int:
     """Run an experiment and return the process's exit code."""
-    given = vars(_arguments(sys.argv[1:]))
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    client = ExperimentClient()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, client.interrupt)
+    client: ExperimentClient | None = None
     try:
+        initialise()
+        # What ROS takes for itself, such as a namespace, is none of the goal's.
+        given = vars(_arguments(remove_ros_args()[1:]))
+        client = ExperimentClient()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, client.interrupt)
         values = {name: value for name, value in given.items() if value is not None}
         if values:
             client.configure(values)
@@ -249,5 +271,6 @@ def main() -> int:
         print(f'error: {error}', file=sys.stderr)
         return error.exit_code
     finally:
-        client.close()
+        if client is not None:
+            client.close()
         rclpy.try_shutdown()

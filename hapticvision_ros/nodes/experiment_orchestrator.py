@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Run an experiment: a grid of pushes, each recorded to a bag of its own.
+Run an experiment: a grid of pushes, then those that its analysis asks for, each to its own bag.
 
 An action server on standard types: a goal is sent with ``/experiment/start`` (its content is the
 node's parameters), ``/experiment/cancel`` ends it, ``/experiment/status`` tells its state,
@@ -22,7 +22,8 @@ something fails is told in `hapticvision_ros.core.experiment.Experiment`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields, replace
+import json
 from pathlib import Path
 import threading
 import time
@@ -54,8 +55,10 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.bag.writer import preload
+from hapticvision_ros.core.autonomy import Budget, Cell, Decision, describe, Findings
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.experiment import (
+    bag_prefix,
     Deadlines,
     Experiment,
     ExperimentGoal,
@@ -71,6 +74,7 @@ from hapticvision_ros.core.push_control import (
     PushGoal,
     PushLimits,
 )
+from hapticvision_ros.nodes.campaign_analysis import CampaignAnalysis
 from hapticvision_ros.nodes.conversions import (
     scalar_to_message,
     stamp_from_ns,
@@ -124,6 +128,40 @@ PARAMETERS: Final = (
     ),
     ParameterSpec(
         'rest_time', 'double', 's', 'Pause between trials, for a new sample.', 0.0, 36000.0
+    ),
+    ParameterSpec(
+        'autonomous',
+        'bool',
+        '-',
+        'Whether to go on after the grid with the pushes that the analysis of the bags asks for.',
+    ),
+    ParameterSpec(
+        'budget_trials', 'integer', '-', 'How many such pushes may be made at most.', 1, 1000
+    ),
+    ParameterSpec(
+        'budget_time',
+        'double',
+        's',
+        'How long they may go on after the grid; 0 for no limit.',
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        'precision',
+        'double',
+        '-',
+        'Relative standard error that every parameter is to reach; 0 to stop as soon as the '
+        'effect is decided.',
+        0.0,
+        1.0,
+    ),
+    ParameterSpec(
+        'analysis_deadline',
+        'double',
+        's',
+        'How long an analysis of the bags may take.',
+        1.0,
+        36000.0,
     ),
     ParameterSpec('output_folder', 'string', '-', 'Folder for the bags; made if missing.'),
     ParameterSpec(
@@ -228,6 +266,8 @@ _GOAL: Final = tuple(
     item.name for item in fields(PushGoal) if item.name not in ('surface_height', 'hold_mode')
 )
 """The numbers of the arm's controller that are asked for to check a goal."""
+DECISIONS: Final = 'autonomous.json'
+"""File beside the bags in which each analysis and what it led to is kept."""
 _CLOSE_TIMEOUT: Final = 3.0
 _STOPPED: Final = 'the orchestrator was stopped'
 _LEVELS: Final = {
@@ -322,6 +362,9 @@ class ExperimentOrchestrator(CellNode):
         self._asked: tuple[Service, Any] = (STOP, None)
         self._ask_again_at = 0.0
         self._sample: _NewSample | None = None
+        self._cell: Cell | None = None
+        self._analysis: CampaignAnalysis | None = None
+        self._decisions: list[dict[str, Any]] = []
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
         self._reported = 0.0
@@ -369,6 +412,7 @@ class ExperimentOrchestrator(CellNode):
             while not experiment.status.terminal and time.monotonic() < end:
                 self.executor.spin_once(timeout_sec=0.1)
             self._give_up(experiment)
+        self._drop_analysis()
         super().close()
 
     def _give_up(self, experiment: Experiment) -> None:
@@ -402,8 +446,12 @@ class ExperimentOrchestrator(CellNode):
                 recover_time=values.real('recover_time'),
                 rest_time=values.real('rest_time'),
                 hold_mode=values.text('hold_mode'),
+                budget=self._budget(),
             )
             names = [trial.name for trial in goal.trials()]
+            if goal.budget is not None:
+                chosen = range(len(names) + 1, len(names) + 1 + goal.budget.trials)
+                names += [*(bag_prefix(number) for number in chosen), DECISIONS]
             self._folder = writable_folder(values.text('output_folder'), names)
             check_room(self._folder, values.integer('least_room'))
         except HapticVisionError as error:
@@ -413,6 +461,7 @@ class ExperimentOrchestrator(CellNode):
             service=values.real('service_deadline'),
             approach=values.real('approach_deadline'),
             margin=values.real('push_margin'),
+            analysis=values.real('analysis_deadline'),
         )
         self._experiment = Experiment(
             goal, deadlines, values.integer('max_failures'), time.monotonic()
@@ -421,6 +470,7 @@ class ExperimentOrchestrator(CellNode):
             goal_id=UUID(uuid=list(uuid.uuid4().bytes)), stamp=stamp_from_ns(time.time_ns())
         )
         self._carried_out = None
+        self._decisions = []
         self._publish_status()
         self.get_logger().info(
             f'goal {self._goal_id()}: {len(goal.trials())} trials to {self._folder}'
@@ -428,6 +478,17 @@ class ExperimentOrchestrator(CellNode):
         response.success = True
         response.message = self._goal_id()
         return response
+
+    def _budget(self) -> Budget | None:
+        """Return how long a goal may go on after its grid, as the parameters have it."""
+        values = self.parameters
+        if not values.flag('autonomous'):
+            return None
+        return Budget(
+            trials=values.integer('budget_trials'),
+            time=values.real('budget_time'),
+            precision=values.real('precision'),
+        )
 
     def _on_cancel(self, request: Any, response: Any) -> Any:
         """Cancel the goal that the request names, by the rules of an action server."""
@@ -478,6 +539,7 @@ class ExperimentOrchestrator(CellNode):
             if entered != self._carried_out:
                 self._carried_out = entered
                 self._drop_call()
+                self._drop_analysis()
                 self._enter(experiment, now)
             self._poll(experiment, now)
             if (experiment.step, experiment.entered) == entered:
@@ -502,7 +564,7 @@ class ExperimentOrchestrator(CellNode):
             case Step.BRING_UP:
                 self._look_at_arm(experiment)
             case Step.CHECK:
-                if not experiment.outcomes:
+                if not experiment.outcomes or trial.reason:
                     experiment.waiting_for = f'the parameters of {ARM_NODE}'
                     request = GetParameters.Request(names=[*_LIMITS, *_GOAL])
                     self._call = _Call(self._limits, request)
@@ -524,10 +586,10 @@ class ExperimentOrchestrator(CellNode):
                 self._ask(TARE, Trigger.Request())
             case Step.CONFIGURE:
                 values: dict[str, float | str] = {
-                    'hold_mode': goal.hold_mode,
+                    'hold_mode': trial.hold_mode,
                     'push_speed': trial.push_speed,
                     'depth': trial.depth,
-                    'hold_time': goal.hold_time,
+                    'hold_time': trial.hold_time,
                     'recover_time': goal.recover_time,
                 }
                 experiment.waiting_for = f'the parameters of {ARM_NODE}'
@@ -545,9 +607,10 @@ class ExperimentOrchestrator(CellNode):
                         'repeat': str(trial.repeat),
                         'commanded_push_speed_m_s': repr(trial.push_speed),
                         'commanded_depth_m': repr(trial.depth),
-                        'commanded_hold_time_s': repr(goal.hold_time),
-                        'commanded_hold_mode': goal.hold_mode,
+                        'commanded_hold_time_s': repr(trial.hold_time),
+                        'commanded_hold_mode': trial.hold_mode,
                         'commanded_recover_time_s': repr(goal.recover_time),
+                        **({'chosen_because': trial.reason} if trial.reason else {}),
                     },
                     self.parameters.integer('write_buffer'),
                 )
@@ -561,6 +624,8 @@ class ExperimentOrchestrator(CellNode):
                 self._ask(PUSH, Trigger.Request())
             case Step.STOP:
                 self._ask(STOP, Trigger.Request())
+            case Step.ANALYSE:
+                self._analyse(experiment)
             case Step.DISABLE:
                 self._ask(ENABLE, SetBool.Request(data=False))
 
@@ -605,6 +670,8 @@ class ExperimentOrchestrator(CellNode):
                     experiment.done(now)
             case Step.FINISH:
                 self._finish(experiment, now)
+            case Step.ANALYSE:
+                self._on_analysis(experiment, now)
             case Step.DISABLE:
                 self._on_answer(experiment, now, experiment.done)
 
@@ -660,21 +727,75 @@ class ExperimentOrchestrator(CellNode):
         goal = experiment.goal
         try:
             for trial in experiment.trials:
+                if trial.number < experiment.trial.number:
+                    continue
                 asked = {
                     'push_speed': trial.push_speed,
                     'depth': trial.depth,
-                    'hold_time': goal.hold_time,
+                    'hold_time': trial.hold_time,
                     'recover_time': goal.recover_time,
                 }
                 push = PushGoal(
                     **{name: numbers[name] for name in _GOAL} | asked,
-                    hold_mode=hold_mode(goal.hold_mode),
+                    hold_mode=hold_mode(trial.hold_mode),
                 )
+                self._cell = Cell(limits, push, max(goal.depths))
                 check_goal(push, limits, limits.highest_height)
         except HapticVisionError as error:
             experiment.failed(f'{trial.name}: {error}', now)
             return
         experiment.done(now)
+
+    def _analyse(self, experiment: Experiment) -> None:
+        """Begin to analyse the bags so far."""
+        assert self._cell is not None
+        bags = [Path(item.bag) for item in experiment.complete if item.bag is not None]
+        experiment.waiting_for = 'the analysis of the bags so far'
+        cell = replace(self._cell, cautious=experiment.chosen_failed)
+        self._analysis = CampaignAnalysis(bags, cell)
+        self.get_logger().info(f'analysing {len(bags)} trials')
+
+    def _on_analysis(self, experiment: Experiment, now: float) -> None:
+        """Go on with what the analysis has found, once it has."""
+        analysis = self._analysis
+        if analysis is None or not analysis.over:
+            return
+        if analysis.findings is None:
+            experiment.analysis_failed(analysis.error, now)
+        else:
+            experiment.found(analysis.findings, now)
+            self.get_logger().info(f'found: {analysis.findings.sentence}')
+        decision = experiment.decision
+        assert decision is not None
+        self._keep(len(experiment.complete), analysis.findings, decision)
+        if decision.push is not None:
+            said = f'next: {describe(decision.push)}: {decision.reason}'
+        else:
+            assert decision.ending is not None
+            said = f'{decision.ending.value}: {decision.reason}'
+        self.get_logger().info(said)
+
+    def _keep(self, trials: int, findings: Findings | None, decision: Decision) -> None:
+        """Write beside the bags what was found and what it led to."""
+        self._decisions.append(
+            {
+                'trials': trials,
+                'found': None if findings is None else findings.document(),
+                'ending': None if decision.ending is None else decision.ending.value,
+                'push': None if decision.push is None else asdict(decision.push),
+                'reason': decision.reason,
+            }
+        )
+        path = self._folder / DECISIONS
+        try:
+            path.write_text(json.dumps(self._decisions, indent=2) + '\n', encoding='utf-8')
+        except OSError as error:
+            self.get_logger().warning(f'{path} cannot be written: {error.strerror}')
+
+    def _drop_analysis(self) -> None:
+        if self._analysis is not None:
+            self._analysis.drop()
+            self._analysis = None
 
     def _on_push_report(self, message: Any) -> None:
         self._push_report = message
@@ -869,6 +990,13 @@ class ExperimentOrchestrator(CellNode):
             'phase': str(experiment.arm_phase) if pushing else '',
             'time_left_s': f'{experiment.time_left(now):.1f}',
         }
+        if experiment.goal.budget is not None:
+            findings, analysis = experiment.findings, self._analysis
+            values |= {
+                'doing': '' if analysis is None else analysis.doing,
+                'found': '' if findings is None else findings.sentence,
+                'chosen because': trial.reason,
+            }
         text = str(experiment.arm_phase) if pushing else step
         self._feedback_publisher.publish(status_to_message('experiment', text, values))
 
@@ -877,21 +1005,42 @@ class ExperimentOrchestrator(CellNode):
             'goal_id': self._goal_id(),
             'status': experiment.status.name,
             'trials': str(len(experiment.trials)),
-            'complete': str(sum(item.outcome is Outcome.COMPLETE for item in experiment.outcomes)),
+            'complete': str(len(experiment.complete)),
         }
         for item in experiment.outcomes:
             values[f'bag {item.trial.number}'] = item.bag or ''
             values[f'outcome {item.trial.number}'] = item.outcome.value + (
                 f': {item.reason}' if item.reason else ''
             )
-        message = status_to_message(
-            'experiment', experiment.reason or f'all bags are in {self._folder}', values
-        )
+        said = f'all bags are in {self._folder}'
+        decision = experiment.decision
+        if decision is not None and decision.ending is not None:
+            values |= {'ending': decision.ending.value, 'ended because': decision.reason}
+            said = f'{decision.ending.value}: {decision.reason}; {said}'
+        if experiment.findings is not None:
+            values |= _found(experiment.findings)
+        message = status_to_message('experiment', experiment.reason or said, values)
         message.level = _LEVELS[experiment.status]
         self._result_publisher.publish(message)
         self.get_logger().info(
             f'goal {self._goal_id()}: {experiment.status.name}; {message.message}'
         )
+
+
+def _found(findings: Findings) -> dict[str, str]:
+    """Return the last diagnosis as names and texts."""
+    values = {
+        'found': findings.sentence,
+        'diagnosis': findings.status,
+        'effects': ', '.join(findings.effects),
+        'sets': '; '.join(' or '.join(alike) for alike in findings.sets),
+        'unexplained': '; '.join(findings.rest),
+        'warnings': '; '.join(findings.warnings),
+    }
+    for name, each in findings.parameters.items():
+        known = each.value is not None and each.std is not None
+        values[name] = f'{each.value:.6g} +- {each.std:.2g} {each.unit}' if known else 'not told'
+    return values
 
 
 def _set_request(values: Mapping[str, float | str]) -> Any:

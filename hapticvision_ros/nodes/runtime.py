@@ -167,7 +167,7 @@ def run(factory: Callable[[], CellNode], args: Sequence[str] | None = None) -> i
         signal.signal(number, interrupt)
     try:
         # ROS's own handlers would end the communication before a node can say its last words.
-        _initialise(args)
+        initialise(args)
         _spin(factory, interrupted)
     except HapticVisionError as error:
         print(f'error: {error}', file=sys.stderr)
@@ -177,7 +177,21 @@ def run(factory: Callable[[], CellNode], args: Sequence[str] | None = None) -> i
     return 0
 
 
-def _initialise(args: Sequence[str] | None) -> None:
+def initialise(args: Sequence[str] | None = None) -> None:
+    """
+    Start ROS in the process, which keeps its own signal handlers.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Arguments of the process; those of `sys.argv` if not given.
+
+    Raises
+    ------
+    UsageError
+        If ROS does not accept them.
+
+    """
     # The exceptions of the binding have no public name; all of them are RuntimeErrors.
     try:
         rclpy.init(

@@ -60,6 +60,9 @@ def domain():
         (['--run', '--out', 'x', '--repeats', '0'], 'repeats is 0'),
         (['--run', '--out', 'x', '--hold-time', '-1'], 'hold_time'),
         (['--run', '--out', 'x', '--hold-time', '1e5'], 'the cell allows 3600 s'),
+        (['--run', '--out', 'x', '--autonomous', '--budget-trials', '0'], 'budget_trials is 0'),
+        (['--run', '--out', 'x', '--autonomous', '--precision', 'nan'], 'precision is nan'),
+        (['--run', '--out', 'x', '--precision', '0.1'], 'add --autonomous'),
     ],
 )
 def test_what_cannot_work_is_refused_before_anything_starts(arguments, says, capsys):

@@ -16,6 +16,7 @@
 
 import math
 
+from hapticvision_ros.core.autonomy import Budget, Ending, Findings, Push
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.experiment import (
     Deadlines,
@@ -315,3 +316,128 @@ def test_a_disk_error_aborts_and_its_sentence_is_the_reason():
     experiment.done(0.0)
     assert experiment.status is GoalStatus.ABORTED
     assert 'no space left' in experiment.reason
+
+
+SEPARATE = Push('separate', 0.002, 0.004, 6.0, ('a', 'b'), 8.0, 'a and b answer it differently')
+OPEN = Findings('explained', ('a',), (('a', 'b'),), {}, push=SEPARATE)
+CLOSED = Findings('explained', ('a',), (('a',),), {})
+
+
+def autonomous(**budget: float) -> Experiment:
+    """Return an experiment of one push that is going to choose more, after this push."""
+    experiment = begun(
+        push_speeds=(0.001,),
+        depths=(0.005,),
+        hold_mode='auto',
+        budget=Budget(**({'trials': 2} | budget)),  # type: ignore[arg-type]
+    )
+    push(experiment)
+    return experiment
+
+
+def test_after_its_grid_an_autonomous_experiment_goes_on_until_the_effect_is_decided():
+    experiment = autonomous()
+    assert experiment.step is Step.ANALYSE
+    assert experiment.time_left(0.0) == 0.0
+    experiment.found(OPEN, 5.0)
+    assert experiment.step is Step.REST
+    experiment.tick(6.0)
+    chosen = experiment.trial
+    assert (chosen.number, chosen.push_speed, chosen.depth) == (2, 0.002, 0.004)
+    assert (chosen.hold_time, chosen.hold_mode) == (6.0, 'fixed')
+    assert chosen.reason == 'a and b answer it differently'
+    assert chosen.name == 'trial_002_2.0mm_s_4mm_r1'
+    # Two seconds down, six at the depth, four to recover.
+    assert experiment.time_left(6.0) == pytest.approx(12.0)
+    push(experiment, now=20.0)
+    assert experiment.step is Step.ANALYSE
+    experiment.found(CLOSED, 25.0)
+    assert experiment.step is Step.DISABLE
+    experiment.done(26.0)
+    assert experiment.status is GoalStatus.SUCCEEDED
+    assert experiment.decision is not None
+    assert experiment.decision.ending is Ending.DECIDED
+    assert len(experiment.complete) == 2
+
+
+def test_the_budget_counts_from_the_end_of_the_grid_and_failed_pushes_too():
+    experiment = autonomous()
+    for trial in (2, 3):
+        experiment.found(OPEN, 1.0)
+        experiment.tick(2.0)
+        assert experiment.trial.number == trial
+        push(experiment, 'aborted' if trial == 2 else 'done', now=3.0)
+        assert experiment.chosen_failed
+    experiment.found(OPEN, 4.0)
+    assert experiment.decision is not None
+    assert experiment.decision.ending is Ending.BUDGET
+    assert [item.trial.number for item in experiment.complete] == [1, 3]
+
+    # Twelve seconds of a push and one of rest.
+    short = autonomous(trials=9, time=20.0)
+    short.found(OPEN, 8.0)
+    assert short.decision is not None
+    assert short.decision.ending is Ending.BUDGET
+
+
+def test_a_repeat_is_of_the_trial_as_it_was_commanded():
+    experiment = autonomous()
+    repeat = Push('repeat', 0.00099, 0.0051, 2.7, (), 0.0, 'only a repeat tells', like=0)
+    left = Findings('unexplained', (), (), {}, repeat=repeat)
+    experiment.found(left, 1.0)
+    experiment.tick(2.0)
+    chosen = experiment.trial
+    assert chosen.name == 'trial_002_1.0mm_s_5mm_r2'
+    assert (chosen.hold_time, chosen.hold_mode) == (3.0, 'auto')
+
+
+def test_an_analysis_that_fails_or_takes_too_long_aborts_and_the_trials_stay():
+    experiment = autonomous()
+    experiment.analysis_failed('the process that analyses the bags ended by signal 9', 1.0)
+    experiment.done(2.0)
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.reason.startswith('the analysis failed: the process that')
+    assert [item.outcome for item in experiment.outcomes] == [Outcome.COMPLETE]
+
+    slow = Experiment(
+        goal(push_speeds=(0.001,), depths=(0.005,), budget=Budget(2)),
+        Deadlines(service=5.0, approach=20.0, margin=10.0, analysis=30.0),
+        max_failures=2,
+        now=0.0,
+    )
+    slow.begin(0.0)
+    push(slow)
+    slow.waiting_for = 'the analysis of the bags so far'
+    slow.tick(29.0)
+    assert slow.step is Step.ANALYSE
+    slow.tick(31.0)
+    assert slow.step is Step.DISABLE
+    assert slow.reason == ('the analysis failed: waited 30 s for the analysis of the bags so far')
+
+
+def test_a_cancel_while_it_analyses_makes_no_further_push():
+    experiment = autonomous()
+    assert experiment.cancel(1.0)
+    assert experiment.step is Step.DISABLE
+    experiment.done(1.0)
+    assert experiment.status is GoalStatus.CANCELED
+
+
+def test_a_tool_left_low_by_the_last_chosen_push_is_retracted():
+    experiment = autonomous()
+    experiment.found(OPEN, 1.0)
+    experiment.tick(2.0)
+    push(experiment, 'aborted', now=3.0)
+    experiment.found(CLOSED, 4.0)
+    assert experiment.leaving
+    assert experiment.step is Step.BRING_UP
+    advance(experiment, Step.DISABLE, 5.0)
+    experiment.done(5.0)
+    assert experiment.status is GoalStatus.SUCCEEDED
+
+
+def test_without_a_complete_trial_there_is_nothing_to_analyse():
+    experiment = begun(push_speeds=(0.001,), depths=(0.005,), budget=Budget(2))
+    push(experiment, 'aborted')
+    assert experiment.step is not Step.ANALYSE
+    assert experiment.leaving

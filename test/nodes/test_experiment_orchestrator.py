@@ -15,6 +15,7 @@
 """The experiment orchestrator with the real nodes and the simulated cell, each a process."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 import signal
 import subprocess
@@ -216,8 +217,28 @@ def test_an_orchestrator_that_is_stopped_stops_the_arm_and_tells_how_the_experim
     assert len(read_trial(bag).force) > 10
 
 
-def test_a_folder_that_cannot_be_written_is_refused_at_once(start_node, probe):
-    start_node('experiment_orchestrator', {'output_folder': '/proc/nowhere'})
-    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+def client(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the experiment client to its end."""
+    command = [str(Path(sys.executable).with_name('experiment_client')), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=START, check=False)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_at_once_to_the_client_of_a_cell(
+    start_node, probe
+):
+    start_node('experiment_orchestrator', {'output_folder': '/proc/nowhere'}, '-r', '__ns:=/cell1')
+    start = replace(START_EXPERIMENT, name=f'/cell1{START_EXPERIMENT.name}')
+    answer = probe.call(start, Trigger.Request(), START)
     assert not answer.success
     assert 'cannot be used for the bags' in answer.message
+    done = client('--autonomous', '--budget-trials', '2', '--ros-args', '-r', '__ns:=/cell1')
+    assert (done.returncode, done.stdout) == (2, '')
+    assert 'cannot be used for the bags' in done.stderr
+    assert done.stderr.count('\n') == 1
+
+
+def test_the_client_refuses_arguments_that_ros_does_not_take():
+    done = client('--ros-args', '-r', 'nonsense')
+    assert done.returncode == 2
+    assert 'error: ROS does not accept the arguments' in done.stderr
+    assert 'Traceback' not in done.stderr

@@ -1,0 +1,626 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What an experiment does after its grid: which push comes next, and when there is enough.
+
+`look` asks the diagnosis what the trials recorded so far tell; `decide` weighs its answer against
+the budget. Both know the trials as they were measured and nothing else. What only `look` needs is
+imported there, since the orchestrator decides and another process looks.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
+import math
+from types import MappingProxyType
+from typing import Any, Final, Literal, TYPE_CHECKING
+
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.core.push_control import expected_duration, PushGoal, PushLimits
+from hapticvision_ros.core.units import MM
+
+if TYPE_CHECKING:
+    from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
+    from hapticvision_ros.core.pipeline import TrialAnalysis
+    from hapticvision_ros.core.records import Trial
+
+type Progress = Callable[[str], None]
+"""Told what is being done, in a few words."""
+type Purpose = Literal['separate', 'sharpen', 'repeat']
+
+LEAST_SEPARATION: Final = 1.0
+"""A push that is expected to part two effects by less helps nobody [standard deviations]."""
+LEAST_SHARPENING: Final = 1.05
+"""A push that is expected to make an error smaller by less than this factor helps nobody."""
+PATIENCE: Final = 3
+"""Pushes in a row that may be made for the same question."""
+FORCE_SHARE: Final = 0.8
+"""Share of the arm's force limit that a push is chosen to stay within."""
+DIGITS: Final = 3
+"""Of speed, depth and hold of a push."""
+
+
+class Ending(Enum):
+    """Why no further push is made."""
+
+    DECIDED = 'decided'
+    TIGHT = 'tight enough'
+    BUDGET = 'budget spent'
+    NOTHING_HELPS = 'no trial can help'
+    SCATTER = 'scatter cannot be told'
+    FAILED = 'the analysis failed'
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """
+    How long an experiment may go on after its grid.
+
+    Parameters
+    ----------
+    trials : int
+        Pushes at most, failed ones included.
+    time : float
+        Time from the end of the grid until the end of the last push [s]; 0 for no limit.
+    precision : float
+        Relative standard error that every parameter of the model is to reach; 0 to stop as soon
+        as the effect is decided.
+
+    Raises
+    ------
+    UsageError
+        If a number makes no sense.
+
+    """
+
+    trials: int
+    time: float = 0.0
+    precision: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.trials < 1:
+            raise UsageError(f'budget_trials is {self.trials}: give 1 or more.')
+        for name, value in (('budget_time', self.time), ('precision', self.precision)):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise UsageError(f'{name} is {value:g}: give a finite number, 0 or more.')
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """
+    A parameter of the model as the trials tell it.
+
+    Parameters
+    ----------
+    value, std : float or None
+        Estimate and standard error in SI units; None where the trials cannot tell.
+    unit : str
+        SI unit.
+
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+
+    @property
+    def error(self) -> float:
+        """Return the relative standard error; infinite where the trials cannot tell."""
+        if self.value is None or self.std is None or self.value == 0.0:
+            return math.inf
+        return self.std / abs(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """
+    A push that would tell something.
+
+    Parameters
+    ----------
+    purpose : {'separate', 'sharpen', 'repeat'}
+        Whether it tells two effects apart, makes a parameter's error smaller, or repeats one that
+        was made.
+    push_speed, depth, hold_time : float
+        The push [m/s, m, s].
+    about : tuple of str
+        The effects, or the parameter.
+    gain : float
+        What is expected of it: standard deviations between two effects, or the factor on an
+        error. Of a repeat nothing is expected.
+    reason : str
+        Why, as a sentence.
+    like : int or None
+        Which of the trials a repeat is of, from 0.
+
+    """
+
+    purpose: Purpose
+    push_speed: float
+    depth: float
+    hold_time: float
+    about: tuple[str, ...]
+    gain: float
+    reason: str
+    like: int | None = None
+
+    @property
+    def worthwhile(self) -> bool:
+        """Whether enough is expected of it."""
+        if self.purpose == 'repeat':
+            return True
+        least = LEAST_SEPARATION if self.purpose == 'separate' else LEAST_SHARPENING
+        return self.gain >= least
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """
+    What the trials so far tell: the part of a diagnosis by which an experiment goes on.
+
+    Parameters
+    ----------
+    status : str
+        The diagnosis's answer.
+    effects : tuple of str
+        Accepted effects.
+    sets : tuple of (tuple of str)
+        For each, those that the trials cannot tell from it, itself first.
+    parameters : mapping of str to Parameter
+        Of the model with the accepted effects.
+    rest : tuple of str
+        What is known of what no effect explains.
+    repeated : bool
+        Whether some push was made twice, so that scatter is known.
+    push : Push or None
+        What the diagnosis would push next.
+    repeat : Push or None
+        Which push is worth a repeat.
+    warnings : tuple of str
+        What a reader must know.
+
+    """
+
+    status: str
+    effects: tuple[str, ...]
+    sets: tuple[tuple[str, ...], ...]
+    parameters: Mapping[str, Parameter]
+    rest: tuple[str, ...] = ()
+    repeated: bool = False
+    push: Push | None = None
+    repeat: Push | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def confounded(self) -> tuple[str, ...]:
+        """Return the first set of effects that are not told apart; empty if all are."""
+        return next((alike for alike in self.sets if len(alike) > 1), ())
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether something is left that no effect explains."""
+        return self.status in ('partly_explained', 'unexplained')
+
+    @property
+    def least_known(self) -> tuple[str, float]:
+        """Return the parameter with the largest relative error, and this error."""
+        errors = {name: each.error for name, each in self.parameters.items()}
+        return max(errors.items(), key=lambda item: item[1], default=('', 0.0))
+
+    @property
+    def sentence(self) -> str:
+        """Return the answer in one sentence, without its full stop."""
+        answer = self.status.replace('_', ' ')
+        if self.sets:
+            answer += ' by ' + ' and '.join(' or '.join(alike) for alike in self.sets)
+        name, error = self.least_known
+        if not name:
+            return answer
+        if math.isinf(error):
+            return f'{answer}; the trials do not tell {name}'
+        return f'{answer}; least known is {name}, to {100.0 * error:.2g} %'
+
+    def document(self) -> dict[str, Any]:
+        """Return plain lists, mappings and numbers, as `from_document` takes them."""
+        return {
+            **{
+                name: getattr(self, name)
+                for name in ('status', 'effects', 'sets', 'rest', 'repeated', 'warnings')
+            },
+            'parameters': {name: asdict(each) for name, each in self.parameters.items()},
+            'push': None if self.push is None else asdict(self.push),
+            'repeat': None if self.repeat is None else asdict(self.repeat),
+        }
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> 'Findings':
+        """Return findings that came as JSON from another process."""
+
+        def push(of: Mapping[str, Any] | None) -> Push | None:
+            return None if of is None else Push(**{**of, 'about': tuple(of['about'])})
+
+        return cls(
+            status=str(document['status']),
+            effects=tuple(document['effects']),
+            sets=tuple(map(tuple, document['sets'])),
+            parameters=MappingProxyType(
+                {name: Parameter(**each) for name, each in document['parameters'].items()}
+            ),
+            rest=tuple(document['rest']),
+            repeated=bool(document['repeated']),
+            push=push(document['push']),
+            repeat=push(document['repeat']),
+            warnings=tuple(document['warnings']),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """
+    What is done next.
+
+    Parameters
+    ----------
+    push : Push or None
+        What to push; None to stop.
+    ending : Ending or None
+        Why to stop; None to go on.
+    reason : str
+        Why, as a sentence without its full stop.
+
+    """
+
+    push: Push | None
+    ending: Ending | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """
+    What an experiment has used up since its grid.
+
+    Parameters
+    ----------
+    pushes : tuple of Push
+        What was pushed, failed trials included.
+    time : float
+        Time since the end of the grid [s].
+
+    """
+
+    pushes: tuple[Push, ...] = field(default=())
+    time: float = 0.0
+
+
+def decide(
+    found: Findings, budget: Budget, spent: Spent, lasts: Callable[[Push], float]
+) -> Decision:
+    """
+    Choose the next push, or stop.
+
+    What is left over by all effects may be scatter: without a repeated push that comes first, as
+    no other push tells. Then effects are told apart that these trials confound, then parameters
+    are sharpened until all are tight enough.
+
+    Parameters
+    ----------
+    found : Findings
+        What the trials so far tell.
+    budget : Budget
+        How long to go on.
+    spent : Spent
+        What has been used up of it.
+    lasts : callable
+        Tells how long a push takes, with the pause before it [s].
+
+    Returns
+    -------
+    Decision
+        What to do.
+
+    """
+    stop = _enough(found, budget, spent)
+    if stop is not None:
+        return stop
+    wanted = found.repeat if _scatter_is_open(found) else found.push
+    question = _question(found, budget)
+    if wanted is None or not wanted.worthwhile:
+        promise = '' if wanted is None else f' (the best promises {wanted.gain:.2g})'
+        return Decision(
+            None,
+            Ending.NOTHING_HELPS,
+            f'{question}, and no push within the limits of the cell tells more{promise}',
+        )
+    short = _short_of(budget, spent, lasts(wanted))
+    if short:
+        ending = Ending.SCATTER if wanted.purpose == 'repeat' else Ending.BUDGET
+        return Decision(None, ending, f'{question}, and {short}')
+    return Decision(wanted, None, wanted.reason)
+
+
+def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
+    """Return the decision to stop because nothing is open, or nothing can be closed."""
+    confounded = found.confounded
+    if _scatter_is_open(found):
+        return None
+    separable = found.push is not None and found.push.purpose == 'separate'
+    if confounded and (separable or not found.has_rest):
+        last = spent.pushes[-PATIENCE:]
+        asked = found.push.about if found.push is not None else ()
+        if len(last) == PATIENCE and all(set(each.about) == set(asked) for each in last):
+            return Decision(
+                None,
+                Ending.NOTHING_HELPS,
+                f'{PATIENCE} pushes that were to tell {" and ".join(asked)} apart have not',
+            )
+        return None
+    if found.has_rest:
+        explained = f'{" and ".join(found.effects)} explains a part, and ' if found.effects else ''
+        where = f': {found.rest[0]}' if found.rest else ''
+        return Decision(
+            None,
+            Ending.NOTHING_HELPS,
+            f'{explained}something is left that no known effect explains{where}',
+        )
+    name, error = found.least_known
+    if budget.precision and error > budget.precision:
+        return None
+    known = ''
+    if name and math.isfinite(error):
+        known = f', and every parameter is known to {100.0 * error:.2g} % or better'
+    if found.effects:
+        effects = ' and '.join(found.effects)
+        return Decision(None, Ending.DECIDED, f'{effects} explains the trials{known}')
+    ending = Ending.TIGHT if budget.precision else Ending.DECIDED
+    nothing = 'nothing is left that noise does not explain'
+    return Decision(None, ending, nothing + known)
+
+
+def _scatter_is_open(found: Findings) -> bool:
+    """Whether what is left may be scatter, which only a repeat can tell."""
+    return found.has_rest and not found.repeated and found.repeat is not None
+
+
+def _question(found: Findings, budget: Budget) -> str:
+    """Return what is still open."""
+    if _scatter_is_open(found):
+        return 'what is left may be scatter from trial to trial, as no push was repeated'
+    if found.confounded:
+        return f'{" and ".join(found.confounded)} are not told apart'
+    name, error = found.least_known
+    if math.isinf(error):
+        return f'the trials do not tell {name}'
+    return f'{name} is known to {100.0 * error:.2g} % only, not to {100.0 * budget.precision:g} %'
+
+
+def _short_of(budget: Budget, spent: Spent, lasts: float) -> str:
+    """Return what of the budget a further push would exceed; empty if nothing."""
+    if len(spent.pushes) >= budget.trials:
+        return f'the budget of {budget.trials} trials after the grid is spent'
+    if budget.time and spent.time + lasts > budget.time:
+        return (
+            f'the next push would take {lasts:.0f} s, of which the budget of {budget.time:g} s '
+            f'leaves {max(0.0, budget.time - spent.time):.0f} s'
+        )
+    return ''
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """
+    What the cell and the goal allow.
+
+    Parameters
+    ----------
+    limits : push_control.PushLimits
+        The arm's limits.
+    usual : PushGoal
+        A push of the grid: what all pushes have in common.
+    deepest : float
+        The grid's largest depth [m]: nothing deeper is chosen.
+    cautious : bool
+        Whether a chosen push has failed, so that none is chosen that is faster than those that
+        have not.
+
+    """
+
+    limits: PushLimits
+    usual: PushGoal
+    deepest: float
+    cautious: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """Return plain numbers, as `from_document` takes them."""
+        return asdict(self)
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> 'Cell':
+        """Return what came as JSON from another process."""
+        return cls(
+            limits=PushLimits(**document['limits']),
+            usual=PushGoal(**document['usual']),
+            deepest=float(document['deepest']),
+            cautious=bool(document['cautious']),
+        )
+
+
+def reach(trials: 'Sequence[TrialAnalysis]', cell: Cell) -> 'Reach':
+    """
+    Return the pushes that may be chosen: near those of the trials, and within the cell's limits.
+
+    No push is deeper than the grid. At the same depth the force of a viscous body grows at most
+    as the speed: the fastest push is that at which it would reach `FORCE_SHARE` of the limit. A
+    body that does otherwise is left to the arm, which stops at its limit.
+
+    Parameters
+    ----------
+    trials : sequence of TrialAnalysis
+        What was measured; one at least.
+    cell : Cell
+        What is allowed.
+
+    Returns
+    -------
+    diagnosis.design.PushLimits
+        The pushes.
+
+    """
+    from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
+
+    phases = [each.segmentation for each in trials]
+    near = Reach.like(phases)
+    deepest = min(near.deepest, cell.deepest, cell.limits.max_depth)
+    made = [p.push_speed for p in phases if p.push_speed]
+    fastest_made = max(made, default=near.fastest)
+    bearable = [
+        each.segmentation.push_speed * FORCE_SHARE * cell.limits.max_force / _peak(each)
+        for each in trials
+        if each.segmentation.push_speed
+        and (each.segmentation.depth or 0.0) > 0.95 * deepest
+        and _peak(each) > 0.0
+    ]
+    # What was pushed without an abort may be pushed again.
+    fastest = max(min(near.fastest, max(bearable, default=fastest_made)), fastest_made)
+    if cell.cautious:
+        fastest = fastest_made
+    fastest = min(fastest, cell.limits.max_speed)
+    slowest = min(near.slowest, fastest)
+    shortest = replace(cell.usual, push_speed=slowest, depth=deepest, hold_time=0.0)
+    spare = cell.limits.max_duration - expected_duration(shortest, cell.limits.highest_height)
+    hold = min(near.longest_hold, spare) if spare > 0.0 else near.longest_hold
+    return Reach(slowest=slowest, fastest=fastest, deepest=deepest, longest_hold=hold)
+
+
+def look(
+    trials: 'Sequence[Trial]', cell: Cell, *, progress: Progress | None = None, workers: int = 1
+) -> Findings:
+    """
+    Diagnose a campaign as far as it goes.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        As they were recorded.
+    cell : Cell
+        What may be pushed next.
+    progress : callable, optional
+        Told what is being done.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    Findings
+        What they tell. A trial that cannot be segmented is left out, with a warning.
+
+    Raises
+    ------
+    UsageError
+        If no trial can be fitted.
+
+    """
+    from hapticvision_ros.core.diagnosis.scatter import conditions
+    from hapticvision_ros.core.diagnosis.search import diagnose
+    from hapticvision_ros.core.pipeline import analyse
+
+    analysed, places, warnings = list['TrialAnalysis'](), list[int](), list[str]()
+    for place, trial in enumerate(trials):
+        try:
+            analysed.append(analyse(trial))
+            places.append(place)
+        except InputError as error:
+            warnings.append(f'{trial.name} is left out: {str(error).rstrip(".")}')
+    if not analysed:
+        raise UsageError('; '.join(warnings) or 'there is no trial to analyse.')
+    allowed = reach(analysed, cell)
+    found = diagnose(analysed, progress=progress, workers=workers, limits=allowed)
+    best = found.next_trial
+    push = None
+    if best is not None:
+        push = Push(
+            purpose='separate' if len(best.separates) > 1 else 'sharpen',
+            push_speed=_rounded(best.push_speed),
+            depth=_rounded(best.depth),
+            hold_time=_rounded(best.hold_time),
+            about=best.separates,
+            gain=best.gain if math.isfinite(best.gain) else 0.0,
+            reason=best.reason,
+        )
+    model = found.after.model
+    units = dict(zip(model.names, model.units, strict=True))
+    return Findings(
+        status=found.status,
+        effects=found.effects,
+        sets=found.sets,
+        parameters=MappingProxyType(
+            {
+                name: Parameter(each.value, _finite(each.std), units[name])
+                for name, each in found.after.parameters.items()
+            }
+        ),
+        rest=() if found.unexplained is None else found.unexplained.where,
+        repeated=any(len(group) > 1 for group in conditions([a.segmentation for a in analysed])),
+        push=push,
+        repeat=_repeat(analysed, places),
+        warnings=(*warnings, *found.warnings),
+    )
+
+
+def _repeat(trials: 'Sequence[TrialAnalysis]', places: Sequence[int]) -> Push | None:
+    """Return the repeat of the push with the largest force, where scatter stands out most."""
+    whole = [
+        (_peak(each), place, each.segmentation)
+        for each, place in zip(trials, places, strict=True)
+        if each.segmentation.push_speed and each.segmentation.depth
+    ]
+    if not whole:
+        return None
+    _, place, phases = max(whole, key=lambda item: item[0])
+    hold = 0.0
+    if phases.t_hold is not None and phases.t_release is not None:
+        hold = phases.t_release - phases.t_hold
+    return Push(
+        purpose='repeat',
+        push_speed=phases.push_speed or 0.0,
+        depth=phases.depth or 0.0,
+        hold_time=hold,
+        about=(),
+        gain=0.0,
+        reason='only a repeat tells whether what is left is scatter from trial to trial',
+        like=place,
+    )
+
+
+def _peak(trial: 'TrialAnalysis') -> float:
+    """Return the largest force of a trial [N]."""
+    return float(trial.trial.force.value.max()) - trial.segmentation.force_zero
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _rounded(value: float) -> float:
+    """Return a number with a few digits, none larger than it was."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - DIGITS + 1)
+    return float(f'{math.floor(value / digit * (1.0 + 1e-9)) * digit:.{DIGITS}g}')
+
+
+def describe(push: Push) -> str:
+    """Return a push in words."""
+    return (
+        f'{push.push_speed / MM:.3g} mm/s to {push.depth / MM:.3g} mm, hold {push.hold_time:.3g} s'
+    )

@@ -1,0 +1,176 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The analysis of a campaign in a process of its own, and the node's side of it.
+
+It takes seconds of a processor, holds Python's lock meanwhile, and may fail: neither may keep the
+node from watching over the cell. The process gets the paths of the bags and what the cell allows,
+as JSON on its standard input, and answers with lines: ``doing ...`` and, at its end,
+``found ...`` with JSON or ``error ...`` with a sentence. It ends when its input is closed, as it
+is when the node dies.
+"""
+
+from collections.abc import Sequence
+import contextlib
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+import threading
+from typing import Final
+
+from hapticvision_ros.core.autonomy import Cell, Findings, look
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
+
+NICENESS: Final = 10
+"""What watches over the cell goes first."""
+_COMMAND: Final = (sys.executable, '-m', 'hapticvision_ros.nodes.campaign_analysis')
+
+
+class CampaignAnalysis:
+    """
+    One analysis under way.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        The trials.
+    cell : Cell
+        What may be pushed next.
+    command : sequence of str
+        What to run.
+
+    Attributes
+    ----------
+    doing : str
+        What it is doing, in a few words.
+    findings : Findings or None
+        What it has found, once it is `over`.
+    error : str
+        Why it has found nothing, as a sentence.
+
+    """
+
+    def __init__(
+        self, bags: Sequence[Path], cell: Cell, command: Sequence[str] = _COMMAND
+    ) -> None:
+        self.doing = ''
+        self.findings: Findings | None = None
+        self.error = ''
+        request = json.dumps({'bags': [str(bag) for bag in bags], 'cell': cell.document()})
+        self._over = threading.Event()
+        self._dropped = False
+        environment = dict(os.environ) | {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}
+        try:
+            self._popen = subprocess.Popen(
+                list(command),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                encoding='utf-8',
+                errors='replace',
+                env=environment,
+                # Ctrl-C in a terminal reaches the node, which ends this.
+                start_new_session=True,
+            )
+        except OSError as error:
+            self.error = f'the analysis cannot be started: {error.strerror}'
+            self._over.set()
+            return
+        self._thread = threading.Thread(target=self._follow, args=(request,), daemon=True)
+        self._thread.start()
+
+    @property
+    def over(self) -> bool:
+        """Whether it has come to its end."""
+        return self._over.is_set()
+
+    def drop(self) -> None:
+        """End it, whatever it is doing."""
+        self._dropped = True
+        if not self.over:
+            self._popen.kill()
+            self._thread.join(1.0)
+
+    def _follow(self, request: str) -> None:
+        """Pass the request on, and take what the process says until it ends."""
+        popen = self._popen
+        assert popen.stdin is not None
+        assert popen.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            popen.stdin.write(request + '\n')
+            popen.stdin.flush()
+        with popen.stdout as said:
+            for line in said:
+                self._take(line.rstrip('\n'))
+        code = popen.wait()
+        with contextlib.suppress(BrokenPipeError):
+            popen.stdin.close()
+        if self.findings is None and not self.error:
+            how = f'by signal {-code}' if code < 0 else f'with exit code {code}'
+            self.error = f'the process that analyses the bags ended {how} and gave no answer'
+        if self._dropped:
+            self.findings, self.error = None, 'the analysis was dropped'
+        self._over.set()
+
+    def _take(self, line: str) -> None:
+        kind, _, rest = line.partition(' ')
+        match kind:
+            case 'doing':
+                self.doing = rest
+            case 'error':
+                self.error = rest
+            case 'found':
+                try:
+                    self.findings = Findings.from_document(json.loads(rest))
+                except (ValueError, KeyError, TypeError):
+                    self.error = 'the analysis gave an answer that cannot be read'
+
+
+def _say(kind: str, text: str) -> None:
+    print(kind, text.replace('\n', ' '), flush=True)
+
+
+def _end_with_input() -> None:
+    """Wait for the end of the input, which is that of the node."""
+    sys.stdin.read()
+    os._exit(1)
+
+
+def main() -> int:
+    """Analyse the bags of the request on standard input, and return the exit code."""
+    request = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    from hapticvision_ros.bag.reader import read_trial
+
+    try:
+        _say('doing', 'reading the bags')
+        trials = [read_trial(Path(bag)) for bag in request['bags']]
+        found = look(
+            trials,
+            Cell.from_document(request['cell']),
+            progress=lambda what: _say('doing', what),
+        )
+        _say('found', json.dumps(found.document(), allow_nan=False))
+    except HapticVisionError as error:
+        _say('error', str(error).rstrip('.'))
+        return UsageError.exit_code
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

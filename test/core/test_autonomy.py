@@ -1,0 +1,284 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What an experiment does after its grid: the rules, and the whole loop on a simulated body."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from hapticvision_ros.core.autonomy import (
+    Budget,
+    Cell,
+    decide,
+    Decision,
+    Ending,
+    Findings,
+    FORCE_SHARE,
+    look,
+    Parameter,
+    PATIENCE,
+    Push,
+    reach,
+    Spent,
+)
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.pipeline import analyse
+from hapticvision_ros.core.push_control import PushGoal, PushLimits
+from hapticvision_ros.core.records import Trial
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, run, Sensors
+from hapticvision_ros.sim.campaigns import Push as MadePush
+from hapticvision_ros.sim.specimen import Body, Undeclared
+import pytest
+import yaml
+
+ARM = yaml.safe_load(
+    (Path(__file__).parents[2] / 'config' / 'arm_push_controller.yaml').read_text()
+)['/**']['ros__parameters']
+BUDGET = Budget(trials=4, time=100.0, precision=0.05)
+TIGHT = {'K1': Parameter(1000.0, 2.0, 'N/m'), 'F_y': Parameter(0.5, 0.01, 'N')}
+LOOSE = TIGHT | {'F_y': Parameter(0.5, 0.1, 'N')}
+SEPARATE = Push('separate', 0.001, 0.002, 6.0, ('a', 'b'), 8.0, 'a and b answer it differently')
+SHARPEN = Push('sharpen', 0.001, 0.002, 6.0, ('F_y',), 3.0, 'F_y is told least')
+REPEAT = Push('repeat', 0.004, 0.006, 2.0, (), 0.0, 'only a repeat tells', like=1)
+
+
+def cell(**changes: Any) -> Cell:
+    """Return what the shipped arm allows, with changes of its limits."""
+    limits = {name: ARM[name] for name in PushLimits.__dataclass_fields__} | changes
+    usual = {name: ARM[name] for name in PushGoal.__dataclass_fields__ if name in ARM}
+    return Cell(PushLimits(**limits), PushGoal(**usual), deepest=0.006)
+
+
+def found(**changes: Any) -> Findings:
+    """Return that an effect explains trials of which one push was repeated, with changes."""
+    values: dict[str, Any] = {
+        'status': 'explained',
+        'effects': ('a',),
+        'sets': (('a',),),
+        'parameters': TIGHT,
+        'repeated': True,
+        'push': SHARPEN,
+        'repeat': REPEAT,
+    }
+    return Findings(**(values | changes))
+
+
+def decision(
+    findings: Findings, budget: Budget = BUDGET, pushes: tuple[Push, ...] = (), time: float = 0.0
+) -> Decision:
+    """Return what is decided where each push takes 10 s."""
+    return decide(findings, budget, Spent(pushes, time), lambda push: 10.0)
+
+
+def test_one_effect_and_known_parameters_are_enough() -> None:
+    end = decision(found())
+    assert (end.ending, end.push) == (Ending.DECIDED, None)
+    assert end.reason == 'a explains the trials, and every parameter is known to 2 % or better'
+
+
+def test_no_effect_and_known_parameters_are_enough_too() -> None:
+    end = decision(found(status='none', effects=(), sets=()))
+    assert end.ending is Ending.TIGHT
+    assert end.reason.startswith('nothing is left that noise does not explain')
+
+
+def test_effects_that_are_confounded_are_told_apart_first() -> None:
+    confounded = found(sets=(('a', 'b'),), parameters=LOOSE, push=SEPARATE)
+    assert decision(confounded) == Decision(SEPARATE, None, SEPARATE.reason)
+
+
+def test_a_parameter_that_is_known_too_little_is_sharpened() -> None:
+    assert decision(found(parameters=LOOSE)).push == SHARPEN
+    # Twenty percent are enough for who asks for no more.
+    assert decision(found(parameters=LOOSE), replace(BUDGET, precision=0.2)).push is None
+    assert decision(found(parameters=LOOSE), replace(BUDGET, precision=0.0)).push is None
+
+
+def test_a_parameter_that_is_not_told_is_never_tight() -> None:
+    untold = TIGHT | {'C2': Parameter(None, None, 'N.s/m')}
+    assert decision(found(parameters=untold)).push == SHARPEN
+    end = decision(found(parameters=untold, push=None))
+    assert end.ending is Ending.NOTHING_HELPS
+    assert end.reason.startswith('the trials do not tell C2')
+
+
+@pytest.mark.parametrize('status', ['partly_explained', 'unexplained'])
+def test_what_is_left_asks_for_a_repeat_before_anything_else(status: str) -> None:
+    left = found(
+        status=status, sets=(('a', 'b'),), repeated=False, push=SEPARATE, rest=('force in hold',)
+    )
+    assert decision(left).push == REPEAT
+    assert decision(replace(left, repeated=True)).push == SEPARATE
+
+
+def test_without_room_for_a_repeat_scatter_cannot_be_told() -> None:
+    left = found(status='partly_explained', repeated=False)
+    end = decision(left, pushes=(SHARPEN,) * 4)
+    assert end.ending is Ending.SCATTER
+    assert 'no push was repeated, and the budget of 4 trials after the grid is spent' in end.reason
+
+
+def test_what_repeats_do_not_have_in_common_with_any_effect_ends_it() -> None:
+    end = decision(found(status='partly_explained', rest=('force in hold, 0.2 N',)))
+    assert end.ending is Ending.NOTHING_HELPS
+    assert end.reason == (
+        'a explains a part, and something is left that no known effect explains: '
+        'force in hold, 0.2 N'
+    )
+
+
+@pytest.mark.parametrize(
+    ('push', 'parameters', 'sets'),
+    [
+        (replace(SEPARATE, gain=0.9), TIGHT, (('a', 'b'),)),
+        (replace(SHARPEN, gain=1.04), LOOSE, (('a',),)),
+        (None, LOOSE, (('a',),)),
+    ],
+    ids=['separation', 'sharpening', 'none'],
+)
+def test_a_push_that_promises_next_to_nothing_is_not_made(
+    push: Push | None, parameters: dict[str, Parameter], sets: tuple[tuple[str, ...], ...]
+) -> None:
+    end = decision(found(push=push, parameters=parameters, sets=sets))
+    assert end.ending is Ending.NOTHING_HELPS
+    assert 'no push within the limits of the cell tells more' in end.reason
+
+
+def test_the_budget_of_trials_and_that_of_time_end_it() -> None:
+    open_ = found(sets=(('a', 'b'),), push=SEPARATE)
+    other = replace(SEPARATE, about=('b', 'c'))
+    end = decision(open_, pushes=(other,) * 4)
+    assert end.ending is Ending.BUDGET
+    assert end.reason == (
+        'a and b are not told apart, and the budget of 4 trials after the grid is spent'
+    )
+    assert decision(open_, time=90.0).push == SEPARATE
+    end = decision(open_, time=90.5)
+    assert end.ending is Ending.BUDGET
+    assert 'would take 10 s, of which the budget of 100 s leaves 10 s' in end.reason
+    assert decision(open_, replace(BUDGET, time=0.0), time=1e6).push == SEPARATE
+
+
+def test_the_same_question_is_not_asked_for_ever() -> None:
+    open_ = found(sets=(('a', 'b'),), push=SEPARATE)
+    generous = Budget(trials=100)
+    assert decision(open_, generous, (SEPARATE,) * (PATIENCE - 1)).push == SEPARATE
+    end = decision(open_, generous, (SEPARATE,) * PATIENCE)
+    assert end.ending is Ending.NOTHING_HELPS
+    assert end.reason == '3 pushes that were to tell a and b apart have not'
+    # An answer in between is progress.
+    assert decision(open_, generous, (SEPARATE, SHARPEN, SEPARATE)).push == SEPARATE
+
+
+@pytest.mark.parametrize(
+    ('changes', 'says'),
+    [
+        ({'trials': 0}, 'budget_trials is 0'),
+        ({'time': -1.0}, 'budget_time is -1'),
+        ({'precision': math.nan}, 'precision is nan'),
+    ],
+)
+def test_a_budget_that_makes_no_sense_is_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        Budget(**({'trials': 1} | changes))
+
+
+def test_findings_and_cell_come_back_from_json_as_they_were() -> None:
+    one = found(push=SEPARATE, rest=('x',), warnings=('y',))
+    assert Findings.from_document(json.loads(json.dumps(one.document()))) == one
+    other = replace(cell(), cautious=True)
+    assert Cell.from_document(json.loads(json.dumps(other.document()))) == other
+
+
+# -- on a simulated body ------------------------------------------------------------------------
+
+GRID = ((0.004, 0.006, 2.0),)
+"""Speed, depth and hold of a grid of one push."""
+YIELD = Undeclared('yield_force', (0.12,))
+
+
+def measured(pushes: tuple[tuple[float, float, float], ...]) -> tuple[Trial, ...]:
+    """Return trials on a body that flows above 0.12 N only, with noise of 0.5 %."""
+    sensors = Sensors(ForceNoise(0.015), 3e-5, force_rate=100.0, tool_rate=100.0, force_zero=0.06)
+    made = tuple(MadePush(speed, depth, hold, 2.0) for speed, depth, hold in pushes)
+    body = Body(1000.0, 900.0, 1600.0)
+    return run(Campaign(body, made, sensors, surface_scatter=1e-5), [YIELD], seed=3).trials
+
+
+@pytest.fixture(scope='module')
+def limits() -> Callable[..., Any]:
+    """Return what tells which pushes may follow the first."""
+    analysed = [analyse(trial) for trial in measured(GRID)]
+    return lambda of: reach(analysed, of)
+
+
+def test_pushes_are_chosen_near_the_grid_and_never_deeper(limits: Callable[..., Any]) -> None:
+    allowed = limits(cell())
+    assert allowed.deepest <= 0.006
+    assert allowed.slowest == pytest.approx(0.004 / 3.0, rel=0.02)
+    assert allowed.fastest == pytest.approx(3.0 * 0.004, rel=0.02)
+    assert allowed.longest_hold == pytest.approx(6.0, rel=0.02)
+    assert limits(replace(cell(), deepest=0.005)).deepest == 0.005
+
+
+def test_no_push_is_chosen_beyond_what_the_arm_may_do(limits: Callable[..., Any]) -> None:
+    assert limits(cell(max_speed=0.007)).fastest == 0.007
+    assert limits(cell(max_depth=0.004)).deepest == 0.004
+    # A push takes some seconds beside its hold, so that less than these are left for that.
+    assert limits(cell(max_duration=84.0)).longest_hold < 6.0
+    assert limits(replace(cell(), cautious=True)).fastest == pytest.approx(0.004, rel=0.02)
+
+
+def test_the_force_that_a_faster_push_may_take_stays_below_the_arms_limit(
+    limits: Callable[..., Any],
+) -> None:
+    (trial,) = measured(GRID)
+    peak = float(trial.force.value.max()) - analyse(trial).segmentation.force_zero
+    fastest = limits(cell(max_force=2.0 * peak)).fastest
+    # Twice the force is allowed: a purely viscous body would bear twice the speed.
+    assert fastest == pytest.approx(2.0 * FORCE_SHARE * 0.004, rel=0.02)
+    # What was pushed already may be pushed again.
+    assert limits(cell(max_force=peak)).fastest == pytest.approx(0.004, rel=0.02)
+
+
+def test_an_effect_that_the_grid_leaves_confounded_is_decided_by_the_pushes_that_it_chooses() -> (
+    None
+):
+    pushes, spent, ends = GRID, list[Push](), list[Decision]()
+    first: Findings | None = None
+    while not ends:
+        findings = look(measured(pushes), cell())
+        first = first or findings
+        next_ = decide(findings, BUDGET, Spent(tuple(spent)), lambda push: 10.0)
+        if next_.push is None:
+            ends.append(next_)
+        else:
+            spent.append(next_.push)
+            pushes = (*pushes, (next_.push.push_speed, next_.push.depth, next_.push.hold_time))
+    assert first is not None
+    assert set(first.confounded) == {'yield_force', 'shear_thinning'}
+    assert spent[0].purpose == 'separate'
+    assert set(spent[0].about) == set(first.confounded)
+    assert 1 <= len(spent) <= 2
+    assert ends[0].ending is Ending.DECIDED
+    assert findings.sets == (('yield_force',),)
+    told = findings.parameters['F_y']
+    assert told.value is not None
+    assert told.std is not None
+    # An estimate is off by more than four standard errors once in ten thousand.
+    assert abs(told.value - 0.12) < 4.0 * told.std < 0.04
