@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 type Progress = Callable[[str], None]
 """Told what is being done, in a few words."""
-type Purpose = Literal['separate', 'sharpen', 'repeat']
+type Purpose = Literal['separate', 'sharpen', 'repeat', 'explore']
 
 LEAST_SEPARATION: Final = 1.0
 """A push that is expected to part two effects by less helps nobody [standard deviations]."""
@@ -130,9 +130,9 @@ class Push:
 
     Parameters
     ----------
-    purpose : {'separate', 'sharpen', 'repeat'}
-        Whether it tells two effects apart, makes a parameter's error smaller, or repeats one that
-        was made.
+    purpose : {'separate', 'sharpen', 'repeat', 'explore'}
+        Whether it tells two effects apart, makes a parameter's error smaller, repeats one that
+        was made, or differs from them in the hope that it shows what no effect explains.
     push_speed, depth, hold_time : float
         The push [m/s, m, s].
     about : tuple of str
@@ -161,6 +161,7 @@ class Push:
         """Whether enough is expected of it."""
         if self.purpose == 'repeat':
             return True
+        # Of a push that differs as much is expected as of one that sharpens: it is the same one.
         least = LEAST_SEPARATION if self.purpose == 'separate' else LEAST_SHARPENING
         return self.gain >= least
 
@@ -182,6 +183,8 @@ class Findings:
         Of the model with the accepted effects.
     rest : tuple of str
         What is known of what no effect explains.
+    trials : int
+        How many were looked at.
     repeated : bool
         Whether some push was made twice, so that scatter is known.
     push : Push or None
@@ -198,6 +201,7 @@ class Findings:
     sets: tuple[tuple[str, ...], ...]
     parameters: Mapping[str, Parameter]
     rest: tuple[str, ...] = ()
+    trials: int = 1
     repeated: bool = False
     push: Push | None = None
     repeat: Push | None = None
@@ -237,7 +241,7 @@ class Findings:
         return {
             **{
                 name: getattr(self, name)
-                for name in ('status', 'effects', 'sets', 'rest', 'repeated', 'warnings')
+                for name in ('status', 'effects', 'sets', 'rest', 'trials', 'repeated', 'warnings')
             },
             'parameters': {name: asdict(each) for name, each in self.parameters.items()},
             'push': None if self.push is None else asdict(self.push),
@@ -259,6 +263,7 @@ class Findings:
                 {name: Parameter(**each) for name, each in document['parameters'].items()}
             ),
             rest=tuple(document['rest']),
+            trials=int(document['trials']),
             repeated=bool(document['repeated']),
             push=push(document['push']),
             repeat=push(document['repeat']),
@@ -311,9 +316,10 @@ def decide(
     """
     Choose the next push, or stop.
 
-    What is left over by all effects may be scatter: without a repeated push that comes first, as
-    no other push tells. Then effects are told apart that these trials confound, then parameters
-    are sharpened until all are tight enough.
+    What several trials leave over beside all effects may be scatter: without a repeated push that
+    comes first, as no other push tells. Then effects are told apart that these trials confound.
+    Where something is left nevertheless, `PATIENCE` pushes that differ from those made are to show
+    what it is. Then parameters are sharpened until all are tight enough.
 
     Parameters
     ----------
@@ -335,7 +341,7 @@ def decide(
     stop = _enough(found, budget, spent)
     if stop is not None:
         return stop
-    wanted = found.repeat if _scatter_is_open(found) else found.push
+    wanted = _wanted(found)
     question = _question(found, budget)
     if wanted is None or not wanted.worthwhile:
         promise = '' if wanted is None else f' (the best promises {wanted.gain:.2g})'
@@ -351,30 +357,25 @@ def decide(
     return Decision(wanted, None, wanted.reason)
 
 
+def _wanted(found: Findings) -> Push | None:
+    """Return the push that helps with what is open, whatever it costs."""
+    if _scatter_is_open(found):
+        return found.repeat
+    if found.push is not None and found.push.purpose == 'sharpen' and found.has_rest:
+        reason = 'something is left that no known effect explains, and this push differs most'
+        return replace(found.push, purpose='explore', about=(), reason=reason)
+    return found.push
+
+
 def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
     """Return the decision to stop because nothing is open, or nothing can be closed."""
-    confounded = found.confounded
-    if _scatter_is_open(found):
+    wanted = _wanted(found)
+    if wanted is not None and wanted.purpose in ('separate', 'explore'):
+        last = [(each.purpose, set(each.about)) for each in spent.pushes[-PATIENCE:]]
+        if last == [(wanted.purpose, set(wanted.about))] * PATIENCE:
+            return Decision(None, Ending.NOTHING_HELPS, _in_vain(found, wanted))
+    if found.has_rest or found.confounded:
         return None
-    separable = found.push is not None and found.push.purpose == 'separate'
-    if confounded and (separable or not found.has_rest):
-        last = spent.pushes[-PATIENCE:]
-        asked = found.push.about if found.push is not None else ()
-        if len(last) == PATIENCE and all(set(each.about) == set(asked) for each in last):
-            return Decision(
-                None,
-                Ending.NOTHING_HELPS,
-                f'{PATIENCE} pushes that were to tell {" and ".join(asked)} apart have not',
-            )
-        return None
-    if found.has_rest:
-        explained = f'{" and ".join(found.effects)} explains a part, and ' if found.effects else ''
-        where = f': {found.rest[0]}' if found.rest else ''
-        return Decision(
-            None,
-            Ending.NOTHING_HELPS,
-            f'{explained}something is left that no known effect explains{where}',
-        )
     name, error = found.least_known
     if budget.precision and error > budget.precision:
         return None
@@ -389,9 +390,24 @@ def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
     return Decision(None, ending, nothing + known)
 
 
+def _in_vain(found: Findings, wanted: Push) -> str:
+    """Return that pushes have not helped."""
+    if wanted.purpose == 'separate':
+        return f'{PATIENCE} pushes that were to tell {" and ".join(wanted.about)} apart have not'
+    return f'{_left(found)}, and {PATIENCE} pushes that differ have not shown what it is'
+
+
+def _left(found: Findings) -> str:
+    """Return what is left over."""
+    part = f'{" and ".join(found.effects)} explains a part, and ' if found.effects else ''
+    where = f' ({found.rest[0]})' if found.rest else ''
+    return f'{part}something is left that no known effect explains{where}'
+
+
 def _scatter_is_open(found: Findings) -> bool:
     """Whether what is left may be scatter, which only a repeat can tell."""
-    return found.has_rest and not found.repeated and found.repeat is not None
+    open_ = found.has_rest and found.trials > 1 and not found.repeated
+    return open_ and found.repeat is not None
 
 
 def _question(found: Findings, budget: Budget) -> str:
@@ -400,6 +416,8 @@ def _question(found: Findings, budget: Budget) -> str:
         return 'what is left may be scatter from trial to trial, as no push was repeated'
     if found.confounded:
         return f'{" and ".join(found.confounded)} are not told apart'
+    if found.has_rest:
+        return _left(found)
     name, error = found.least_known
     if math.isinf(error):
         return f'the trials do not tell {name}'
@@ -572,6 +590,7 @@ def look(
             }
         ),
         rest=() if found.unexplained is None else found.unexplained.where,
+        trials=len(analysed),
         repeated=any(len(group) > 1 for group in conditions([a.segmentation for a in analysed])),
         push=push,
         repeat=_repeat(analysed, places),

@@ -71,6 +71,7 @@ def found(**changes: Any) -> Findings:
         'effects': ('a',),
         'sets': (('a',),),
         'parameters': TIGHT,
+        'trials': 4,
         'repeated': True,
         'push': SHARPEN,
         'repeat': REPEAT,
@@ -118,12 +119,12 @@ def test_a_parameter_that_is_not_told_is_never_tight() -> None:
 
 
 @pytest.mark.parametrize('status', ['partly_explained', 'unexplained'])
-def test_what_is_left_asks_for_a_repeat_before_anything_else(status: str) -> None:
-    left = found(
-        status=status, sets=(('a', 'b'),), repeated=False, push=SEPARATE, rest=('force in hold',)
-    )
+def test_what_several_trials_leave_asks_for_a_repeat_before_anything_else(status: str) -> None:
+    left = found(status=status, sets=(('a', 'b'),), repeated=False, push=SEPARATE)
     assert decision(left).push == REPEAT
     assert decision(replace(left, repeated=True)).push == SEPARATE
+    # One trial does not scatter.
+    assert decision(replace(left, trials=1)).push == SEPARATE
 
 
 def test_without_room_for_a_repeat_scatter_cannot_be_told() -> None:
@@ -133,12 +134,18 @@ def test_without_room_for_a_repeat_scatter_cannot_be_told() -> None:
     assert 'no push was repeated, and the budget of 4 trials after the grid is spent' in end.reason
 
 
-def test_what_repeats_do_not_have_in_common_with_any_effect_ends_it() -> None:
-    end = decision(found(status='partly_explained', rest=('force in hold, 0.2 N',)))
+def test_what_no_effect_explains_is_given_some_pushes_that_differ() -> None:
+    left = found(status='partly_explained', rest=('force in hold, 0.2 N',))
+    other = decision(left).push
+    assert other is not None
+    assert (other.purpose, other.push_speed) == ('explore', SHARPEN.push_speed)
+    generous = Budget(trials=100)
+    assert decision(left, generous, (other,) * (PATIENCE - 1)).push == other
+    end = decision(left, generous, (other,) * PATIENCE)
     assert end.ending is Ending.NOTHING_HELPS
     assert end.reason == (
-        'a explains a part, and something is left that no known effect explains: '
-        'force in hold, 0.2 N'
+        'a explains a part, and something is left that no known effect explains (force in hold, '
+        '0.2 N), and 3 pushes that differ have not shown what it is'
     )
 
 
