@@ -1,0 +1,22 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The simulated surface beside the measured cloud.
+
+A `mesh` is points and triangles; `distance` gives the signed distance of points from it; `raster`
+looks at it along a direction, for maps of heights and for pictures; `cloud` takes the object out
+of the range sensor's clouds; `deformation` measures what stays, what comes back, how far the
+sides bulge; `compare` holds both shapes against each other, with the sensor's noise counted.
+"""
