@@ -82,6 +82,8 @@ _MISPLACED: Final = 4.0
 """Squares near the touch, over those of the noise, from which on the onset is looked for again."""
 _BETTER: Final = 0.8
 """Part of the squares near the touch that another onset leaves, to be chosen."""
+_FIRST_RECORDS: Final = 2
+"""Records that the first look at the noise takes, about: it only has to come near."""
 _BLURS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
 _LATE: Final = 3.0
@@ -897,6 +899,10 @@ def _weighted(
         jumps = problem.jumps(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and fresh
+        if first:
+            # The second turn looks at all of them.
+            step = max(1, len(forces) // _FIRST_RECORDS)
+            forces, heights = forces[::step], heights[::step]
         force_noise = follow(forces, force_noise, trials[0].interval, first, limit.force)
         if heights:
             interval = trials[0].height_interval
