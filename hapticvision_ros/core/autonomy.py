@@ -44,6 +44,8 @@ LEAST_SEPARATION: Final = 1.0
 """A push that is expected to part two effects by less helps nobody [standard deviations]."""
 LEAST_SHARPENING: Final = 1.05
 """A push that is expected to make an error smaller by less than this factor helps nobody."""
+LEAST_KINDS: Final = 2
+"""Different pushes without which nothing is decided: in one alone an effect hides well."""
 PATIENCE: Final = 3
 """Pushes in a row that may be made for the same question."""
 FORCE_SHARE: Final = 0.8
@@ -185,8 +187,8 @@ class Findings:
         What is known of what no effect explains.
     trials : int
         How many were looked at.
-    repeated : bool
-        Whether some push was made twice, so that scatter is known.
+    kinds : int
+        How many different pushes are among them.
     push : Push or None
         What the diagnosis would push next.
     repeat : Push or None
@@ -202,7 +204,7 @@ class Findings:
     parameters: Mapping[str, Parameter]
     rest: tuple[str, ...] = ()
     trials: int = 1
-    repeated: bool = False
+    kinds: int = 1
     push: Push | None = None
     repeat: Push | None = None
     warnings: tuple[str, ...] = ()
@@ -241,7 +243,7 @@ class Findings:
         return {
             **{
                 name: getattr(self, name)
-                for name in ('status', 'effects', 'sets', 'rest', 'trials', 'repeated', 'warnings')
+                for name in ('status', 'effects', 'sets', 'rest', 'trials', 'kinds', 'warnings')
             },
             'parameters': {name: asdict(each) for name, each in self.parameters.items()},
             'push': None if self.push is None else asdict(self.push),
@@ -264,7 +266,7 @@ class Findings:
             ),
             rest=tuple(document['rest']),
             trials=int(document['trials']),
-            repeated=bool(document['repeated']),
+            kinds=int(document['kinds']),
             push=push(document['push']),
             repeat=push(document['repeat']),
             warnings=tuple(document['warnings']),
@@ -319,7 +321,8 @@ def decide(
     What several trials leave over beside all effects may be scatter: without a repeated push that
     comes first, as no other push tells. Then effects are told apart that these trials confound.
     Where something is left nevertheless, `PATIENCE` pushes that differ from those made are to show
-    what it is. Then parameters are sharpened until all are tight enough.
+    what it is; nothing is decided before `LEAST_KINDS` different ones, and that there is no effect
+    not before one beside the grid. Then parameters are sharpened until all are tight enough.
 
     Parameters
     ----------
@@ -341,8 +344,8 @@ def decide(
     stop = _enough(found, budget, spent)
     if stop is not None:
         return stop
-    wanted = _wanted(found)
-    question = _question(found, budget)
+    wanted = _wanted(found, spent)
+    question = _question(found, budget, spent)
     if wanted is None or not wanted.worthwhile:
         promise = '' if wanted is None else f' (the best promises {wanted.gain:.2g})'
         return Decision(
@@ -357,24 +360,30 @@ def decide(
     return Decision(wanted, None, wanted.reason)
 
 
-def _wanted(found: Findings) -> Push | None:
+def _wanted(found: Findings, spent: Spent) -> Push | None:
     """Return the push that helps with what is open, whatever it costs."""
     if _scatter_is_open(found):
         return found.repeat
-    if found.push is not None and found.push.purpose == 'sharpen' and found.has_rest:
-        reason = 'something is left that no known effect explains, and this push differs most'
+    if found.push is not None and found.push.purpose == 'sharpen':
+        if found.has_rest:
+            doubt = 'something is left that no known effect explains'
+        else:
+            doubt = _doubt(found, spent)
+        if not doubt:
+            return found.push
+        reason = f'{doubt}, and this push differs most'
         return replace(found.push, purpose='explore', about=(), reason=reason)
     return found.push
 
 
 def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
     """Return the decision to stop because nothing is open, or nothing can be closed."""
-    wanted = _wanted(found)
+    wanted = _wanted(found, spent)
     if wanted is not None and wanted.purpose in ('separate', 'explore'):
         last = [(each.purpose, set(each.about)) for each in spent.pushes[-PATIENCE:]]
         if last == [(wanted.purpose, set(wanted.about))] * PATIENCE:
-            return Decision(None, Ending.NOTHING_HELPS, _in_vain(found, wanted))
-    if found.has_rest or found.confounded:
+            return Decision(None, Ending.NOTHING_HELPS, _in_vain(found, spent, wanted))
+    if found.has_rest or found.confounded or _doubt(found, spent):
         return None
     name, error = found.least_known
     if budget.precision and error > budget.precision:
@@ -390,11 +399,23 @@ def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
     return Decision(None, ending, nothing + known)
 
 
-def _in_vain(found: Findings, wanted: Push) -> str:
+def _doubt(found: Findings, spent: Spent) -> str:
+    """Return why an answer is not to be trusted yet; empty if it is."""
+    if found.kinds < LEAST_KINDS:
+        return 'one kind of push may hide an effect'
+    helps = found.push is not None and found.push.worthwhile
+    if found.status == 'none' and not spent.pushes and helps:
+        return 'the grid shows no effect, which may hide in the parameters of pushes so alike'
+    return ''
+
+
+def _in_vain(found: Findings, spent: Spent, wanted: Push) -> str:
     """Return that pushes have not helped."""
     if wanted.purpose == 'separate':
         return f'{PATIENCE} pushes that were to tell {" and ".join(wanted.about)} apart have not'
-    return f'{_left(found)}, and {PATIENCE} pushes that differ have not shown what it is'
+    if found.has_rest:
+        return f'{_left(found)}, and {PATIENCE} pushes that differ have not shown what it is'
+    return f'{_doubt(found, spent)}, and {PATIENCE} that differ have come to nothing'
 
 
 def _left(found: Findings) -> str:
@@ -406,11 +427,11 @@ def _left(found: Findings) -> str:
 
 def _scatter_is_open(found: Findings) -> bool:
     """Whether what is left may be scatter, which only a repeat can tell."""
-    open_ = found.has_rest and found.trials > 1 and not found.repeated
-    return open_ and found.repeat is not None
+    unrepeated = 1 < found.trials == found.kinds
+    return found.has_rest and unrepeated and found.repeat is not None
 
 
-def _question(found: Findings, budget: Budget) -> str:
+def _question(found: Findings, budget: Budget, spent: Spent) -> str:
     """Return what is still open."""
     if _scatter_is_open(found):
         return 'what is left may be scatter from trial to trial, as no push was repeated'
@@ -418,6 +439,8 @@ def _question(found: Findings, budget: Budget) -> str:
         return f'{" and ".join(found.confounded)} are not told apart'
     if found.has_rest:
         return _left(found)
+    if _doubt(found, spent):
+        return _doubt(found, spent)
     name, error = found.least_known
     if math.isinf(error):
         return f'the trials do not tell {name}'
@@ -591,7 +614,7 @@ def look(
         ),
         rest=() if found.unexplained is None else found.unexplained.where,
         trials=len(analysed),
-        repeated=any(len(group) > 1 for group in conditions([a.segmentation for a in analysed])),
+        kinds=len(conditions([each.segmentation for each in analysed])),
         push=push,
         repeat=_repeat(analysed, places),
         warnings=(*warnings, *found.warnings),

@@ -72,7 +72,7 @@ def found(**changes: Any) -> Findings:
         'sets': (('a',),),
         'parameters': TIGHT,
         'trials': 4,
-        'repeated': True,
+        'kinds': 3,
         'push': SHARPEN,
         'repeat': REPEAT,
     }
@@ -93,9 +93,29 @@ def test_one_effect_and_known_parameters_are_enough() -> None:
 
 
 def test_no_effect_and_known_parameters_are_enough_too() -> None:
-    end = decision(found(status='none', effects=(), sets=()))
+    nothing = found(status='none', effects=(), sets=())
+    end = decision(nothing, pushes=(SHARPEN,))
     assert end.ending is Ending.TIGHT
     assert end.reason.startswith('nothing is left that noise does not explain')
+    # Where no push tells more, the grid has to do.
+    assert decision(replace(nothing, push=None)).ending is Ending.TIGHT
+
+
+def test_that_there_is_no_effect_is_not_believed_of_the_grid_alone() -> None:
+    # Two pushes that are alike leave a parallel spring in the three elements.
+    other = decision(found(status='none', effects=(), sets=())).push
+    assert other is not None
+    assert (other.purpose, other.push_speed) == ('explore', SHARPEN.push_speed)
+
+
+@pytest.mark.parametrize('status', ['explained', 'none'])
+def test_nothing_is_decided_on_one_kind_of_push(status: str) -> None:
+    early = found(status=status, trials=1, kinds=1)
+    other = decision(early).push
+    assert other is not None
+    assert (other.purpose, other.push_speed) == ('explore', SHARPEN.push_speed)
+    assert decision(replace(early, trials=2, kinds=2), pushes=(other,)).push is None
+    assert decision(replace(early, push=None)).ending is Ending.NOTHING_HELPS
 
 
 def test_effects_that_are_confounded_are_told_apart_first() -> None:
@@ -120,15 +140,15 @@ def test_a_parameter_that_is_not_told_is_never_tight() -> None:
 
 @pytest.mark.parametrize('status', ['partly_explained', 'unexplained'])
 def test_what_several_trials_leave_asks_for_a_repeat_before_anything_else(status: str) -> None:
-    left = found(status=status, sets=(('a', 'b'),), repeated=False, push=SEPARATE)
+    left = found(status=status, sets=(('a', 'b'),), kinds=4, push=SEPARATE)
     assert decision(left).push == REPEAT
-    assert decision(replace(left, repeated=True)).push == SEPARATE
+    assert decision(replace(left, kinds=3)).push == SEPARATE
     # One trial does not scatter.
-    assert decision(replace(left, trials=1)).push == SEPARATE
+    assert decision(replace(left, trials=1, kinds=1)).push == SEPARATE
 
 
 def test_without_room_for_a_repeat_scatter_cannot_be_told() -> None:
-    left = found(status='partly_explained', repeated=False)
+    left = found(status='partly_explained', kinds=4)
     end = decision(left, pushes=(SHARPEN,) * 4)
     assert end.ending is Ending.SCATTER
     assert 'no push was repeated, and the budget of 4 trials after the grid is spent' in end.reason

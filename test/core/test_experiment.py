@@ -320,7 +320,7 @@ def test_a_disk_error_aborts_and_its_sentence_is_the_reason():
 
 SEPARATE = Push('separate', 0.002, 0.004, 6.0, ('a', 'b'), 8.0, 'a and b answer it differently')
 OPEN = Findings('explained', ('a',), (('a', 'b'),), {}, push=SEPARATE)
-CLOSED = Findings('explained', ('a',), (('a',),), {})
+CLOSED = Findings('explained', ('a',), (('a',),), {}, trials=2, kinds=2)
 
 
 def autonomous(**budget: float) -> Experiment:
@@ -383,7 +383,7 @@ def test_the_budget_counts_from_the_end_of_the_grid_and_failed_pushes_too():
 def test_a_repeat_is_of_the_trial_as_it_was_commanded():
     experiment = autonomous()
     repeat = Push('repeat', 0.00099, 0.0051, 2.7, (), 0.0, 'only a repeat tells', like=0)
-    left = Findings('unexplained', (), (), {}, trials=2, repeat=repeat)
+    left = Findings('unexplained', (), (), {}, trials=2, kinds=2, repeat=repeat)
     experiment.found(left, 1.0)
     experiment.tick(2.0)
     chosen = experiment.trial
