@@ -14,14 +14,23 @@
 
 """The numbers of the links from those of the identified model."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from hapticvision_ros.core.body.lattice import Lattice
-from hapticvision_ros.core.body.links import Gauge, LinkLaw
+from hapticvision_ros.core.body.lattice import BoolArray, Lattice
+from hapticvision_ros.core.body.links import EFFECTS, Gauge, link_law, LinkLaw, scaled
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
-from hapticvision_ros.core.body.simulation import Accuracy, BodyRun
+from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+_ALIKE: Final = 5e-4
+"""Relative difference between identified and fitted that makes none."""
+_FARTHEST: Final = 0.5
+"""Largest change of a logarithm in a round."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +62,27 @@ class Calibration:
     rounds: int
 
 
-def gauge(lattice: Lattice, tool: Tool, surroundings: Surroundings | None = None) -> Gauge:
-    """Return how the body passes a small push on to its links, by one static solve."""
-    raise NotImplementedError
+def gauge(
+    lattice: Lattice,
+    tool: Tool,
+    surroundings: Surroundings | None = None,
+    *,
+    depth: float = 0.0,
+) -> Gauge:
+    """
+    Return how the body passes a small push on to its links, by one static solve.
+
+    Parameters
+    ----------
+    lattice, tool, surroundings
+        As in `simulation.simulate`.
+    depth : float
+        How deep a sphere is pushed, which says how much of it touches [m].
+
+    """
+    return Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).static(
+        depth
+    )
 
 
 def calibrate(
@@ -67,14 +94,16 @@ def calibrate(
     surroundings: Surroundings | None = None,
     *,
     reference_depth: float | None = None,
+    at: Sequence[float] = (),
     rounds: int = 4,
     accuracy: Accuracy | None = None,
 ) -> Calibration:
     """
     Return links for which the body gives force and height of the identified model.
 
-    Each round simulates the trial, fits the model to what came out, and multiplies the numbers of
-    the links by identified over fitted.
+    Each round simulates the trial, tells from what came out how far the model's parameters have
+    moved (one Gauss-Newton step of the fit), and takes the numbers of the links back by that; how
+    these follow each other is learnt on the way (Broyden). Push, hold and recovery weigh alike.
 
     Parameters
     ----------
@@ -84,12 +113,135 @@ def calibrate(
         The identified model; its effects of cell and sensor are left out of account.
     parameters : mapping of str to float
         Its parameters by name, SI.
-    tool, motion, surroundings, accuracy
+    tool, motion, surroundings, at, accuracy
         As in `simulation.simulate`.
     reference_depth : float, optional
         d_ref of the model [m]; the deepest point of the motion by default.
     rounds : int
         Runs at most.
 
+    Raises
+    ------
+    InputError
+        If the model has an effect of the object that no link can carry, or `simulate` does.
+
     """
-    raise NotImplementedError
+    strange = [e.name for e in model.declared if e.kind == 'object' and e.name not in EFFECTS]
+    if strange:
+        raise InputError(
+            f'no link can carry {", ".join(strange)}: simulate the shape with a model of '
+            f'{", ".join(EFFECTS)} only'
+        )
+    carried = Model(tuple(name for name in model.effects if name in EFFECTS))
+    wanted = {name: parameters[name] for name in carried.names}
+    target = np.array(list(wanted.values()))
+    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).meets()
+    deepest = top - float(motion.height.min())
+    depth = reference_depth or deepest
+    measure = gauge(lattice, tool, surroundings, depth=deepest)
+    law = link_law(wanted, measure, reference_depth=depth)
+    given = {name for name, value in wanted.items() if value > 0.0}
+    used = np.array([name in given for name in carried.names])
+    told_of = np.eye(int(used.sum()))
+    before: tuple[FloatArray, FloatArray] | None = None
+    for done in range(1, rounds + 1):
+        run = simulate(lattice, law, tool, motion, surroundings, at=at, accuracy=accuracy)
+        trial = _Driven(run.t, top - run.tool, run.t, depth)
+        off = _off(carried, target, used, trial, run, motion.corners)
+        if done == rounds or np.abs(off).max() < _ALIKE:
+            break
+        if before is not None:
+            # Broyden's update of how the fit follows the links; alike is where it starts.
+            step = before[1]
+            told_of += np.outer(off - before[0] - told_of @ step, step) / (step @ step)
+        change = np.clip(-np.linalg.solve(told_of, off), -_FARTHEST, _FARTHEST)
+        before = off, change
+        names = [name for name in carried.names if name in given]
+        law = scaled(law, dict(zip(names, np.exp(change), strict=True)))
+    told = carried.predict(trial, carried.theta(target), directions=False)
+    force = float(np.abs(run.force - told.force).max() / np.abs(told.force).max())
+    height = float(np.abs(run.height - told.height).max() / np.abs(told.height).max())
+    fitted = _fit(carried, target, trial, run, motion.corners)
+    recovered = {name: float(v) for name, v in zip(carried.names, fitted, strict=True)}
+    return Calibration(law, run, recovered, force, height, done)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Driven:
+    """A run as a trial: see `DrivenTrial`."""
+
+    t: FloatArray
+    displacement: FloatArray
+    height_t: FloatArray
+    reference_depth: float
+    campaign_time: float = 0.0
+    zero_time: float = 0.0
+
+
+class _Misses:
+    """What separates a run from the model, each phase with the same weight."""
+
+    def __init__(
+        self, model: Model, trial: _Driven, run: BodyRun, corners: Sequence[float]
+    ) -> None:
+        self._model, self._trial, self._run = model, trial, run
+        long = np.diff(run.t)
+        phase = np.searchsorted(np.array(corners) - 1e-9, run.t[:-1], side='right')
+        weight = np.sqrt(long / np.bincount(phase, long)[phase])
+        self._by_force = weight / max(float(run.force.max()), 1e-300)
+        free = np.append(0.0, weight * (run.touching == 0))
+        self._by_height = free / max(float(run.height.max()), 1e-300)
+
+    def values(self, theta: FloatArray) -> FloatArray:
+        """Return the misses for parameters of the model."""
+        told = self._model.predict(self._trial, theta, directions=False)
+        return np.concatenate(
+            [
+                self._by_force * (told.force - self._run.force),
+                self._by_height * (told.height - self._run.height),
+            ]
+        )
+
+    def slopes(self, theta: FloatArray) -> FloatArray:
+        """Return their derivatives in theta, one column each."""
+        told = self._model.predict(self._trial, theta)
+        rows = slice(0, theta.size)
+        return np.concatenate(
+            [(self._by_force * told.d_force[rows]).T, (self._by_height * told.d_height[rows]).T]
+        )
+
+
+def _off(
+    model: Model,
+    target: FloatArray,
+    used: BoolArray,
+    trial: _Driven,
+    run: BodyRun,
+    corners: Sequence[float],
+) -> FloatArray:
+    """Return by how much a fit to a run would change the logarithms of the used parameters."""
+    misses = _Misses(model, trial, run, corners)
+    theta = model.theta(target)
+    slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
+    return np.linalg.lstsq(slopes[:, used], -misses.values(theta), rcond=1e-6)[0]
+
+
+def _fit(
+    model: Model, start: FloatArray, trial: _Driven, run: BodyRun, corners: Sequence[float]
+) -> FloatArray:
+    """Return the parameters with which the model comes closest to a run."""
+    from scipy.optimize import least_squares
+
+    misses = _Misses(model, trial, run, corners)
+    lower, upper = model.bounds
+    theta = np.clip(model.theta(start), lower, upper)
+    found = least_squares(
+        misses.values,
+        theta,
+        misses.slopes,
+        bounds=(lower, upper),
+        x_scale='jac',
+        xtol=1e-10,
+        ftol=1e-12,
+    )
+    return model.values(found.x)

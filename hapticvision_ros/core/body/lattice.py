@@ -332,8 +332,8 @@ def from_heights(low: Sequence[float], cell: float, heights: FloatArray, pitch: 
     top = np.zeros((count[0] + 1, count[1] + 1))
     for dx in (0, 1):
         for dy in (0, 1):
-            part = top[dx : dx + count[0], dy : dy + count[1]]
-            np.maximum(part, levels * pitch, out=part)
+            beside = slice(dx, dx + int(count[0])), slice(dy, dy + int(count[1]))
+            np.maximum(top[beside], levels * pitch, out=top[beside])
     lift = np.where(top > 0.0, smooth - top, 0.0)
     lift = np.clip(lift, -0.5 * pitch, 0.5 * pitch)
     return Lattice(pitch, np.array([*origin, 0.0]), full, lift)

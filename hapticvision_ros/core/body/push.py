@@ -148,13 +148,17 @@ class Surroundings:
     tool, support : Touch
         How they touch the body. The support is the plane z = 0.
     volume_ratio : float
-        Stiffness of a cell against a change of its volume, over Young's modulus of its links at
-        rest, 1.875 k/a [-]; 14 keeps the volume of a common push within 0.6 %, 0 is the bare
-        lattice with a Poisson's ratio of 1/4.
+        Stiffness of a cell against a change of its volume, over Young's modulus of its links,
+        1.875 k/a [-]: of a spring, over that of k, and of a dashpot beside it, over that of c1 and
+        c2 in series. 14 keeps the volume of a common push within 0.6 %, 0 is the bare lattice with
+        a Poisson's ratio of 1/4.
     density : float
         [kg/m^3]; zero for a body without weight.
     gravity : float
         [m/s^2]
+    small : bool
+        Whether links keep their directions and cells their shapes, as if the push were small: the
+        body is then as linear in the depth as the model is. Contact goes by the true positions.
 
     """
 
@@ -163,3 +167,4 @@ class Surroundings:
     volume_ratio: float = 14.0
     density: float = 0.0
     gravity: float = 9.80665
+    small: bool = False

@@ -21,12 +21,37 @@ of the links over the step, the pressures of the cells, contact and weight balan
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import math
+from typing import Final
 
-from hapticvision_ros.core.body.lattice import IndexArray, Lattice
-from hapticvision_ros.core.body.links import LinkLaw
+from hapticvision_ros.core.body import forces
+from hapticvision_ros.core.body.contact import Contact, Holds
+from hapticvision_ros.core.body.lattice import CORNERS, DIRECTIONS, IndexArray, Lattice
+from hapticvision_ros.core.body.links import Gauge, LinkLaw
+from hapticvision_ros.core.body.multigrid import Multigrid, project
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
+
+_MODULUS: Final = 1.875
+"""Young's modulus of the lattice times pitch over link stiffness."""
+_ITERATIONS: Final = 20
+_POOR: Final = 0.3
+"""By how much an iteration has to lower what is out of balance, for its matrix to be kept."""
+_NEARLY: Final = 5.0
+"""What may be out of balance where contact is judged, over what may be at the end."""
+_SETTLED: Final = 0.1
+"""Change of the positions in the last iteration, over the error that a step may make."""
+_SHARE: Final = 1.0 / 6.0
+"""Error of a step over the difference between it and the line through the step before."""
+_SHORTEST: Final = 1.0 / 64.0
+"""Shortest step, over the first after a corner."""
+_SAFE: Final = 0.85
+_ON: Final = 1.0 + 1e-6
+"""How far from the tool's edge a node is still under it."""
+_DRAG: Final = 1e-6
+"""What holds a body that nothing else does, over the stiffness of a node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,4 +203,486 @@ def simulate(
         If the tool does not meet the body, or the body does not bear what is asked of it.
 
     """
-    raise NotImplementedError
+    surroundings = surroundings or Surroundings()
+    accuracy = accuracy or Accuracy()
+    body = Pressed(lattice, law, tool, surroundings)
+    return _run(body, motion, tuple(sorted(at)), accuracy)
+
+
+class Pressed:
+    """A body with the state of its links, step by step."""
+
+    def __init__(
+        self, lattice: Lattice, law: LinkLaw, tool: Tool, surroundings: Surroundings
+    ) -> None:
+        self.lattice, self.law, self.tool, self.surroundings = lattice, law, tool, surroundings
+        self.solver = Multigrid(lattice.shape)
+        self.level = self.solver.levels[0]
+        length = self.level.size + 2 * self.level.margin
+        self.place = self.level.margin + lattice.grid
+        self.weight = np.zeros((13, length))
+        self.weight[:, self.level.span] = lattice.weights_of_links
+        self.x0 = np.zeros((3, length))
+        self.x0[:, self.place] = lattice.points.T
+        self.x1 = self.x0.copy()
+        self.net = np.zeros((3, length))
+        self.rest = np.ones((13, length))
+        inner = np.arange(*self.level.ends)
+        for k, off in enumerate(self.level.offsets):
+            there = inner[self.weight[k, inner] > 0.0]
+            span = self.x0[:, there + off] - self.x0[:, there]
+            self.rest[k, there] = np.sqrt((span**2).sum(axis=0))
+        self.origin = self.x0.copy() if surroundings.small else np.zeros((3, 0))
+        empty = np.zeros((13, 0))
+        self.z = np.zeros((13, length))
+        self.z_max = np.zeros((13, length)) if law.damage > 0.0 else empty
+        self.unit = np.zeros((13, length)) if math.isfinite(law.unit_stiffness) else empty
+        self.ends = np.zeros((13, length)) if math.isfinite(law.series_stiffness) else empty
+        self.cells = self.place[lattice.cells]
+        self.slopes, self.volumes = _cell_shapes(lattice)
+        self.stiffness = surroundings.volume_ratio * _MODULUS * law.stiffness / lattice.pitch
+        self.weight_of_node = np.zeros(len(lattice.points))
+        if surroundings.density > 0.0:
+            part = surroundings.density * surroundings.gravity / 8.0
+            volumes = np.broadcast_to(self.volumes, len(self.cells))
+            np.add.at(self.weight_of_node, lattice.cells, part * volumes[:, None])
+        self.contact = Contact(
+            lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
+        )
+        self.loose = surroundings.support.lets_go or not surroundings.support.friction > 0.0
+        self.newton = 0
+        self.cycles = 0
+        self.largest = 0.0
+        self._q = np.zeros(forces.NUMBERS)
+        self._lifted = 0.0
+
+    @property
+    def positions(self) -> FloatArray:
+        """Return the positions at the start of the step, shape (n, 3) [m]."""
+        return self.x0[:, self.place].T.copy()
+
+    def numbers(self, h: float, *, touching: bool) -> tuple[FloatArray, float]:
+        """Return the law of the links over a step, and the stiffness of the cells' volumes."""
+        law = self.law
+        q = np.zeros(forces.NUMBERS)
+        against = law.bounce_viscosity + (law.flow_viscosity if touching else 0.0)
+        b = forces.fitted_weight(h * law.stiffness / against) if against > 0.0 else 1.0
+        q[forces.K] = law.stiffness
+        q[forces.C1] = law.bounce_viscosity
+        q[forces.E] = law.stiffness * b + law.bounce_viscosity / h
+        q[forces.FLOW] = h / law.flow_viscosity
+        q[forces.YIELD] = law.yield_force
+        dashpots = 1.0 / (1.0 / max(law.bounce_viscosity, 1e-300) + 1.0 / law.flow_viscosity)
+        if self.unit.size:
+            q[forces.UNIT_LEFT] = -math.expm1(-h * law.unit_stiffness / law.unit_viscosity)
+            q[forces.UNIT_SOFT] = 1.0 / law.unit_stiffness
+            q[forces.GIVE] += q[forces.UNIT_LEFT] * q[forces.UNIT_SOFT]
+        if self.ends.size:
+            q[forces.SERIES] = 1.0 / law.series_stiffness
+            pace = h * law.series_stiffness / dashpots if touching else math.inf
+            q[forces.SERIES_END] = 1.0 / forces.fitted_weight(pace)
+            q[forces.GIVE] += q[forces.SERIES] * q[forces.SERIES_END]
+        q[forces.STIFFENING] = law.stiffening
+        q[forces.DAMAGE] = law.damage
+        q[forces.REFERENCE] = law.reference_stretch
+        q[forces.POWER] = 1.0 / law.flow_index
+        q[forces.RATE] = law.reference_rate
+        q[forces.STEP] = h
+        q[forces.AGAINST] = against
+        q[forces.PLAIN] = float(law.plain)
+        # The dashpot beside the spring of a cell keeps its volume where the tool is fast and the
+        # dashpots of the links carry more than their springs.
+        slow = self.stiffness * dashpots / law.stiffness
+        swift = self.stiffness * forces.fitted_weight(h * law.stiffness / dashpots) + slow / h
+        return q, float(swift)
+
+    def evaluate(self, q: FloatArray, swift: float, *, fill: bool) -> FloatArray:
+        """Set out the forces on the nodes, shape (n, 3) [N], and the matrix where wanted."""
+        self.net[:] = 0.0
+        matrix = self.solver.matrix
+        if fill:
+            matrix[:] = 0.0
+        pitch = self.lattice.pitch
+        forces.link_forces(
+            self.x0,
+            self.x1,
+            self.origin,
+            *self.level.ends,
+            self.level.offsets,
+            self.weight,
+            self.rest,
+            pitch,
+            q,
+            self.z,
+            self.z_max,
+            self.unit,
+            self.ends,
+            self.net,
+            matrix,
+            fill,
+        )
+        if self.stiffness > 0.0:
+            forces.cell_forces(
+                self.x0,
+                self.x1,
+                self.origin,
+                self.cells,
+                self.slopes,
+                self.volumes,
+                self.stiffness,
+                swift,
+                _PAIRS,
+                self.net,
+                matrix,
+                fill,
+            )
+        if self.loose:
+            # Nothing holds a free body in its place but this.
+            drag = _DRAG * (q[forces.E] + swift * pitch)
+            self.net[:, self.place] -= drag * (self.x1 - self.x0)[:, self.place]
+            if fill:
+                for a in (0, 4, 8):
+                    matrix[0, a, self.place] += np.float32(drag)
+        net = self.net[:, self.place].T.copy()
+        net[:, 2] -= self.weight_of_node
+        return net
+
+    def correct(
+        self, net: FloatArray, holds: Holds, tolerance: float, *, fresh: bool
+    ) -> tuple[float, bool]:
+        """Move the nodes by one iteration; return the largest change and whether it is sound."""
+        place = self.place[holds.nodes]
+        change = np.zeros_like(self.level.b)
+        right = np.zeros_like(self.level.b)
+        right[:, self.place] = net.T
+        change[:, place] = holds.correction.T
+        if fresh:
+            product = np.zeros_like(right)
+            self.level.multiply(change, product)
+            right -= product
+            free = holds.free.astype(np.float32)
+            project(self.solver.matrix, place, free, self.level.margin, self.level.offsets)
+            self.solver.prepare()
+        right[:, place] = np.einsum('mij,jm->im', holds.free, right[:, place])
+        found, sound, cycles = self.solver.solve(right, tolerance)
+        self.cycles += cycles
+        self.newton += 1
+        found[:, place] = np.einsum('mij,jm->im', holds.free, found[:, place])
+        found += change
+        moved = found[:, self.place]
+        self.x1[:, self.place] += moved
+        return float(np.abs(moved).max()), sound
+
+    def step(
+        self, h: float, before: float, height: float, speed: FloatArray | None, accuracy: Accuracy
+    ) -> tuple[float, int] | None:
+        """
+        Find the positions at the end of a step.
+
+        Returns
+        -------
+        force : float
+            On the tool [N].
+        touching : int
+            Nodes that it touches; None instead of both where the iteration fails.
+
+        """
+        contact = self.contact
+        start = self.x0[:, self.place].T
+        contact.start(start, before, down=height < before)
+        q, swift = self.numbers(h, touching=bool(contact.by_tool.any()) or height < before)
+        self._q = q
+        self.x1[:] = self.x0
+        if speed is not None:
+            self.x1[:, self.place] += h * speed.T
+        stale, last, moved = True, math.inf, math.inf
+        settled = _SETTLED * accuracy.position
+        for iteration in range(_ITERATIONS):
+            net = self.evaluate(q, swift, fill=stale)
+            position = self.x1[:, self.place].T
+            holds = contact.holds(start, position, before, height)
+            out, scale = self._balance(net, holds)
+            if not math.isfinite(out):
+                return None
+            enough = accuracy.balance * scale
+            # What holds a node is only told by forces that nearly balance.
+            if iteration > 0 and out <= _NEARLY * enough:
+                slack = 0.1 * enough / max(1, int(contact.by_tool.sum()))
+                if contact.change(holds, net, start, position, height, slack):
+                    if not stale:
+                        net = self.evaluate(q, swift, fill=True)
+                        stale = True
+                    holds = contact.holds(start, position, before, height)
+                    out, _ = self._balance(net, holds)
+                    last = moved = math.inf
+            off = float(np.abs(holds.correction).max(initial=0.0))
+            if out <= enough and off <= settled and moved <= settled:
+                on = holds.nodes[contact.by_tool[holds.nodes]]
+                force = float(net[on, 2].sum())
+                self.largest = max(self.largest, abs(force))
+                return force, on.size
+            if not stale and out > _POOR * last:
+                stale = True
+                net = self.evaluate(q, swift, fill=True)
+            last = out
+            tolerance = min(max(0.3 * enough / max(out, 1e-300), 1e-4), 0.03)
+            pushed = net.copy()
+            pushed[holds.nodes] += holds.friction
+            moved, sound = self.correct(pushed, holds, tolerance, fresh=stale)
+            if not sound:
+                return None
+            stale = False
+        return None
+
+    def _balance(self, net: FloatArray, holds: Holds) -> tuple[float, float]:
+        """Return what is out of balance, and the force that it is small against [N]."""
+        scale = max(self.largest, float(np.abs(net[holds.nodes]).sum()))
+        left = net.copy()
+        left[holds.nodes] = np.einsum('mij,mj->mi', holds.free, net[holds.nodes] + holds.friction)
+        return float(np.sqrt((left**2).sum())), scale
+
+    def advance(self) -> float:
+        """Take the links to the end of the step just found; return what is stored [J]."""
+        held = forces.advance_links(
+            self.x0,
+            self.x1,
+            self.origin,
+            *self.level.ends,
+            self.level.offsets,
+            self.weight,
+            self.rest,
+            self.lattice.pitch,
+            self._q,
+            self.z,
+            self.z_max,
+            self.unit,
+            self.ends,
+            1.0 / self.law.series_stiffness,
+        )
+        if self.stiffness > 0.0:
+            pressed, _ = forces.cell_state(
+                self.x1, self.origin, self.cells, self.slopes, self.volumes, self.stiffness
+            )
+            held += pressed
+        rise = (self.x1 - self.x0)[2, self.place]
+        self._lifted += float(self.weight_of_node @ rise)
+        self.x0[:] = self.x1
+        return float(held) + self._lifted
+
+    def static(self, depth: float) -> Gauge:
+        """Return what the elastic body at rest passes on when its face sinks: one solve."""
+        nodes = self.face(depth)
+        q = np.zeros(forces.NUMBERS)
+        q[[forces.K, forces.E, forces.PLAIN, forces.POWER]] = 1.0
+        q[forces.YIELD] = math.inf
+        stiffness, self.stiffness = self.stiffness, self.stiffness / self.law.stiffness
+        self.evaluate(q, self.stiffness, fill=True)
+        self.stiffness = stiffness
+        lowest = np.flatnonzero(self.contact.by_support)
+        held = np.concatenate([nodes, lowest])
+        free = np.zeros((held.size, 3, 3))
+        touch = self.surroundings.tool, self.surroundings.support
+        for part, which in ((slice(0, nodes.size), 0), (slice(nodes.size, None), 1)):
+            if touch[which].friction == 0.0:
+                free[part] = np.diag([1.0, 1.0, 0.0])
+        correction = np.zeros((held.size, 3))
+        correction[: nodes.size, 2] = -1.0
+        normals = np.zeros((held.size, 3))
+        holds = Holds(held, normals, free, correction, normals)
+        matrix = self.solver.matrix.copy()
+        self.correct(np.zeros_like(self.lattice.points), holds, 1e-5, fresh=True)
+        moved = (self.x1 - self.x0).astype(np.float32)
+        self.solver.matrix[:] = matrix
+        product = np.zeros_like(moved)
+        self.level.multiply(moved, product)
+        self.x1[:] = self.x0
+        force = -float(product[2, self.place[nodes]].sum(dtype=np.float64))
+        inner = np.arange(*self.level.ends)
+        energy = fourth = first = 0.0
+        for k, off in enumerate(self.level.offsets):
+            there = inner[self.weight[k, inner] > 0.0]
+            along = (self.x0[:, there + off] - self.x0[:, there]) / self.rest[k, there]
+            stretch = np.einsum('ij,ij->j', along, (moved[:, there + off] - moved[:, there]))
+            long = self.rest[k, there] / self.lattice.pitch
+            weight = self.weight[k, there] * long**2
+            edge = np.abs(stretch) / long
+            first += float((weight * edge).sum())
+            energy += float((weight * edge**2).sum())
+            fourth += float((weight * edge**4).sum())
+        return Gauge(force, math.sqrt(fourth / energy), first)
+
+    def face(self, depth: float) -> IndexArray:
+        """Return the nodes under the tool's face; under a sphere, those that a push reaches."""
+        points, tool = self.lattice.points, self.tool
+        radius = math.sqrt(tool.radius * depth) if tool.sphere else tool.radius
+        radius = max(radius, 0.75 * self.lattice.pitch)
+        top = self.lattice.surface[0]
+        top = top[np.hypot(points[top, 0] - tool.x, points[top, 1] - tool.y) <= radius * _ON]
+        if not top.size:
+            raise InputError('the tool does not meet the body: its axis is beside it')
+        # Only the uppermost of a column: a step in the surface has two.
+        columns = self.lattice.places[top]
+        order = np.lexsort((-columns[:, 2], columns[:, 1], columns[:, 0]))
+        _, first = np.unique(columns[order][:, :2], axis=0, return_index=True)
+        return np.sort(top[order][first])
+
+    def meets(self) -> float:
+        """Return the height of the tool at which it first touches the body at rest [m]."""
+        points, tool = self.lattice.points[self.face(0.0)], self.tool
+        if not tool.sphere:
+            return float(points[:, 2].max())
+        upper = self.lattice.points[self.lattice.surface[0]]
+        aside = np.hypot(upper[:, 0] - tool.x, upper[:, 1] - tool.y)
+        near = aside < tool.radius
+        rise = tool.radius - np.sqrt(tool.radius**2 - aside[near] ** 2)
+        return float((upper[near, 2] - rise).max())
+
+
+def _cell_shapes(lattice: Lattice) -> tuple[FloatArray, FloatArray]:
+    """Return the slopes of the shape functions in the middle of the cells, and their volumes."""
+    signs = np.where(CORNERS == 1, 0.125, -0.125)
+    if lattice.lift is None:
+        slopes = (2.0 / lattice.pitch) * signs.T[None]
+        return slopes, np.array([lattice.pitch**3])
+    jacobian = np.einsum('cpa,pb->cab', lattice.points[lattice.cells], signs)
+    inverse = np.linalg.inv(jacobian)
+    slopes = np.einsum('pb,cba->cap', signs, inverse)
+    return np.ascontiguousarray(slopes), 8.0 * np.linalg.det(jacobian)
+
+
+def _corner_pairs() -> IndexArray:
+    """Return the 28 pairs of a cell's corners, with the direction from one to the other."""
+    pairs = [
+        (p, r, k)
+        for k, direction in enumerate(DIRECTIONS)
+        for p in range(8)
+        for r in range(8)
+        if (CORNERS[r] - CORNERS[p] == direction).all()
+    ]
+    return np.array(pairs, dtype=np.intp)
+
+
+_PAIRS: Final = _corner_pairs()
+
+
+class _Record:
+    """What is kept of the steps."""
+
+    def __init__(self, body: Pressed, t: float, height: float, at: Sequence[float]) -> None:
+        self._body = body
+        self._face = body.face(0.0)
+        self._rest = body.lattice.points
+        self.t, self.tool = [t], [height]
+        self.force: list[float] = []
+        self.touching: list[int] = []
+        self.height, self.work, self.stored = [0.0], [0.0], [0.0]
+        self.volume = [body.lattice.volume(self._rest)]
+        self._wanted = list(at)
+        self.frame_t: list[float] = []
+        self.frames: list[FloatArray] = []
+        self._position = self._rest
+        self._take(t, self._rest)
+
+    def _take(self, t: float, position: FloatArray) -> None:
+        """Keep the frames up to a time, to which the body moves at constant speed."""
+        start = self.t[-1]
+        while self._wanted and self._wanted[0] <= t:
+            when = self._wanted.pop(0)
+            share = (when - start) / (t - start) if t > start else 0.0
+            share = min(max(share, 0.0), 1.0)
+            self.frame_t.append(when)
+            self.frames.append(self._position + share * (position - self._position))
+
+    def add(self, t: float, tool: float, force: float, touching: int, stored: float) -> None:
+        """Keep a step."""
+        position = self._body.positions
+        self._take(t, position)
+        self.work.append(self.work[-1] + force * (self.tool[-1] - tool))
+        self._position = position
+        self.t.append(t)
+        self.tool.append(tool)
+        self.force.append(force)
+        self.touching.append(touching)
+        self.stored.append(stored)
+        sunk = (self._rest - position)[self._face, 2]
+        self.height.append(float(sunk.mean()))
+        self.volume.append(self._body.lattice.volume(position))
+
+    def run(self) -> BodyRun:
+        """Return all that was kept."""
+        shape = (-1, *self._rest.shape)
+        return BodyRun(
+            lattice=self._body.lattice,
+            t=np.array(self.t),
+            force=np.array(self.force),
+            tool=np.array(self.tool),
+            height=np.array(self.height),
+            touching=np.array(self.touching, dtype=np.intp),
+            volume=np.array(self.volume),
+            work=np.array(self.work),
+            stored=np.array(self.stored),
+            frame_t=np.array(self.frame_t),
+            frames=np.array(self.frames).reshape(shape),
+            newton=self._body.newton,
+            cycles=self._body.cycles,
+        )
+
+
+def _stops(body: Pressed, motion: ToolMotion) -> list[float]:
+    """Return when steps have to end: the corners of the motion, the first touch and the end."""
+    stops = [*motion.corners, float(motion.t[-1])]
+    above = motion.height - body.meets()
+    crossing = np.flatnonzero((above[:-1] > 0.0) & (above[1:] <= 0.0))
+    if crossing.size:
+        i = int(crossing[0])
+        share = above[i] / (above[i] - above[i + 1])
+        stops.append(float(motion.t[i] + share * (motion.t[i + 1] - motion.t[i])))
+    return sorted(s for s in set(stops) if s > motion.t[0])
+
+
+def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Accuracy) -> BodyRun:
+    t = float(motion.t[0])
+    tool = float(motion.height[0])
+    record = _Record(body, t, tool, at)
+    shortest = _SHORTEST * accuracy.first_step
+    for stop in _stops(body, motion):
+        h = accuracy.first_step
+        speed: FloatArray | None = None
+        while t < stop:
+            left = stop - t
+            h = min(h, accuracy.longest_step)
+            if h > left * (1.0 - 1e-9):
+                h = left
+            elif h > 0.5 * left:
+                h = 0.5 * left
+            after = stop if h == left else t + h
+            goal = float(motion.at(np.array([after]))[0])
+            kept = body.contact.state
+            found = body.step(h, tool, goal, speed, accuracy)
+            if found is None:
+                body.contact.state = kept
+                if speed is not None:
+                    speed = None
+                    continue
+                h *= 0.5
+                if h < shortest:
+                    raise InputError(
+                        f'the body does not bear the tool {1e3 * goal:g} mm over the support at '
+                        f'{t:.4g} s: push less deep, or choose larger cells or a stiffer volume'
+                    )
+                continue
+            moved = (body.x1 - body.x0)[:, body.place].T
+            factor = accuracy.growth
+            if speed is not None:
+                error = _SHARE * float(np.abs(moved - h * speed).max())
+                factor = min(factor, _SAFE * math.sqrt(accuracy.position / max(error, 1e-300)))
+                if error > accuracy.position and h > shortest:
+                    body.contact.state = kept
+                    h = max(h * max(factor, 0.2), shortest)
+                    continue
+            stored = body.advance()
+            record.add(after, goal, found[0], found[1], stored)
+            speed = moved / h
+            t, tool = after, goal
+            h *= max(factor, 0.5)
+    return record.run()

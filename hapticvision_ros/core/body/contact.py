@@ -1,0 +1,261 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Where tool and support hold the nodes: a set of constraints that an iteration corrects.
+
+A node that touches may not move along the normal, and not at all where friction holds it. It is
+let go where the surface would have to pull, taken where it has gone through, and slides where the
+force along the surface is more than friction bears.
+"""
+
+from dataclasses import dataclass
+
+from hapticvision_ros.core.body.lattice import BoolArray, IndexArray
+from hapticvision_ros.core.body.push import Surroundings, Tool
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+_MOST_CHANGES = 3
+"""How often a node may change between two states in a step."""
+_NEAR = 1e-6
+"""Distance at which a node touches, over the pitch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Holds:
+    """
+    What holds which nodes, in an iteration.
+
+    Parameters
+    ----------
+    nodes : ndarray of int, shape (m,)
+        Those that are held.
+    normals : ndarray, shape (m, 3)
+        Out of the body.
+    free : ndarray, shape (m, 3, 3)
+        The projection onto where each may move.
+    correction : ndarray, shape (m, 3)
+        How far each is from where it has to be [m].
+    friction : ndarray, shape (m, 3)
+        Of those that slide, on the body [N].
+
+    """
+
+    nodes: IndexArray
+    normals: FloatArray
+    free: FloatArray
+    correction: FloatArray
+    friction: FloatArray
+
+
+class Contact:
+    """
+    The nodes that tool and support touch.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Nodes at rest [m].
+    surface : ndarray of int, shape (s,)
+        Those on the surface.
+    pitch : float
+        [m]
+    tool : Tool
+        Its shape.
+    surroundings : Surroundings
+        How it and the support touch.
+
+    """
+
+    def __init__(
+        self,
+        points: FloatArray,
+        surface: IndexArray,
+        pitch: float,
+        tool: Tool,
+        surroundings: Surroundings,
+    ) -> None:
+        self._tool = tool
+        self._touches = surroundings.tool, surroundings.support
+        self._pitch = pitch
+        near = points[surface, 2] <= _NEAR * pitch
+        self._lowest = surface[near]
+        self._upper = surface[~near]
+        count = len(points)
+        self.by_tool: BoolArray = np.zeros(count, dtype=bool)
+        self.by_support: BoolArray = np.zeros(count, dtype=bool)
+        self.by_support[self._lowest] = True
+        self._held: BoolArray = self.by_support & (self._touches[1].friction > 0.0)
+        self._changes = np.zeros(count, dtype=np.intp)
+        self._drag = np.zeros((count, 3))
+        self._side = self._upper
+
+    def start(self, x: FloatArray, height: float, *, down: bool) -> None:
+        """Begin a step; a tool that comes down takes what it touches already."""
+        self._changes[:] = 0
+        axis = np.hypot(x[self._upper, 0] - self._tool.x, x[self._upper, 1] - self._tool.y)
+        side = self._upper[axis <= self._tool.radius * (1.0 + _NEAR)]
+        gap, _ = self._gap(x[side], height)
+        # What comes in under the edge from beside, above the face, is at the wall of the tool.
+        self._side = side[gap >= -_NEAR * self._pitch]
+        if down:
+            near = gap[gap >= -_NEAR * self._pitch] <= _NEAR * self._pitch
+            self.by_tool[self._side[near]] = True
+        self._held |= self.by_tool & (self._touches[0].friction > 0.0) & ~self._slides
+        self._held &= self.by_tool | self.by_support
+
+    @property
+    def _slides(self) -> BoolArray:
+        return np.asarray((self._drag != 0.0).any(axis=1))
+
+    @property
+    def state(self) -> tuple[BoolArray, BoolArray, BoolArray, FloatArray]:
+        """Return a copy of the sets, to go back to."""
+        return self.by_tool.copy(), self.by_support.copy(), self._held.copy(), self._drag.copy()
+
+    @state.setter
+    def state(self, value: tuple[BoolArray, BoolArray, BoolArray, FloatArray]) -> None:
+        self.by_tool, self.by_support = value[0].copy(), value[1].copy()
+        self._held, self._drag = value[2].copy(), value[3].copy()
+
+    def _gap(self, x: FloatArray, height: float) -> tuple[FloatArray, FloatArray]:
+        """Return the distances from the tool's surface, and its normals out of the body."""
+        if not self._tool.sphere:
+            return height - x[:, 2], np.tile([0.0, 0.0, 1.0], (len(x), 1))
+        away = np.array([self._tool.x, self._tool.y, height + self._tool.radius]) - x
+        distance = np.linalg.norm(away, axis=1)
+        return distance - self._tool.radius, away / distance[:, None]
+
+    def holds(self, x0: FloatArray, x: FloatArray, before: float, height: float) -> Holds:
+        """
+        Return what is held at a position.
+
+        Parameters
+        ----------
+        x0, x : ndarray, shape (n, 3)
+            Positions at the start of the step, and as far as known at its end [m].
+        before, height : float
+            Height of the tool then and now [m].
+
+        """
+        one = np.flatnonzero(self.by_tool)
+        two = np.flatnonzero(self.by_support & ~self.by_tool)
+        gap, normal = self._gap(x[one], height)
+        normals = np.concatenate([normal, np.tile([0.0, 0.0, -1.0], (two.size, 1))])
+        nodes = np.concatenate([one, two])
+        gaps = np.concatenate([gap, x[two, 2]])
+        free = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        correction = gaps[:, None] * normals
+        held = self._held[nodes]
+        if held.any():
+            free[held] = 0.0
+            goal = x0[nodes].copy()
+            goal[: one.size, 2] += height - before
+            goal[one.size :, 2] = 0.0
+            if not self._tool.sphere:
+                goal[: one.size, 2] = height
+            correction[held] = (goal - x[nodes])[held]
+        return Holds(nodes, normals, free, correction, self._drag[nodes])
+
+    def change(
+        self,
+        holds: Holds,
+        net: FloatArray,
+        x0: FloatArray,
+        x: FloatArray,
+        height: float,
+        slack: float,
+    ) -> bool:
+        """
+        Correct the sets by what the iteration found; return whether that changed the system.
+
+        Parameters
+        ----------
+        holds : Holds
+            What was held.
+        net : ndarray, shape (n, 3)
+            Forces on the nodes, without those of tool and support [N].
+        x0, x : ndarray, shape (n, 3)
+            Positions [m].
+        height : float
+            Of the tool [m].
+        slack : float
+            A pull that counts as none [N].
+
+        """
+        nodes = holds.nodes
+        press = np.einsum('ij,ij->i', net[nodes], holds.normals)
+        tool, support = self._touches
+        may = self._changes[nodes] < _MOST_CHANGES
+        on_tool = self.by_tool[nodes]
+        leaves = (press < -slack) & may & (on_tool | support.lets_go)
+        gone = nodes[leaves]
+        self.by_tool[gone] = False
+        self.by_support[gone] = False
+        self._held[gone] = False
+        self._drag[gone] = 0.0
+        changed = bool(leaves.any())
+        gap, _ = self._gap(x[self._side], height)
+        through = self._side[(gap < -_NEAR * self._pitch) & ~self.by_tool[self._side]]
+        self.by_tool[through] = True
+        low = self._lowest[(x[self._lowest, 2] < 0.0) & ~self.by_support[self._lowest]]
+        self.by_support[low] = True
+        for new in (through, low):
+            self._changes[new] += 1
+            changed = changed or new.size > 0
+        friction = np.where(on_tool, tool.friction, support.friction)
+        rough = np.isfinite(friction) & (friction > 0.0) & ~leaves
+        if rough.any():
+            bearable = friction[rough] * np.maximum(press[rough], 0.0)
+            changed |= self._slide(
+                nodes[rough], holds.normals[rough], bearable, net, x - x0, slack
+            )
+        return changed
+
+    def _slide(
+        self,
+        nodes: IndexArray,
+        normals: FloatArray,
+        bearable: FloatArray,
+        net: FloatArray,
+        moved: FloatArray,
+        slack: float,
+    ) -> bool:
+        """Let go along the surface what friction cannot hold, and drag what slides."""
+        pull = net[nodes] - np.einsum('ij,ij->i', net[nodes], normals)[:, None] * normals
+        size = np.linalg.norm(pull, axis=1)
+        held = self._held[nodes]
+        slips = held & (size > bearable + slack) & (self._changes[nodes] < _MOST_CHANGES)
+        way = moved[nodes] - np.einsum('ij,ij->i', moved[nodes], normals)[:, None] * normals
+        length = np.linalg.norm(way, axis=1)
+        # What has just come loose goes where it is pulled; what slides is held against its way.
+        along = np.where(slips[:, None], pull, way)
+        length = np.where(slips, size, length)
+        slides = slips | (~held & (length > _NEAR * self._pitch))
+        unit = np.zeros_like(along)
+        unit[slides] = along[slides] / np.maximum(length[slides], 1e-300)[:, None]
+        drag = -bearable[:, None] * unit
+        # A node whose drag would take it back has come to rest.
+        back = ~held & slides & (np.einsum('ij,ij->i', pull, way) < 0.0)
+        back &= (self._changes[nodes] < _MOST_CHANGES) & (size <= bearable)
+        self._held[nodes[slips]] = False
+        self._held[nodes[back]] = True
+        self._changes[nodes[slips | back]] += 1
+        drag[back] = 0.0
+        before = self._drag[nodes]
+        moving = ~self._held[nodes]
+        self._drag[nodes] = np.where(moving[:, None], drag, 0.0)
+        far = float(np.abs(self._drag[nodes] - before).max(initial=0.0)) > slack
+        return bool(slips.any() or back.any() or far)
