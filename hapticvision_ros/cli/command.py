@@ -49,6 +49,7 @@ VERBS: Final = {
     'import': Verb('import_csv', 'turn measured CSV files into bags'),
     'fit': Verb('fit', 'estimate rheological parameters from bags'),
     'export': Verb('export', 'write a fitted model for finite-element codes and simulators'),
+    'shape': Verb('shape', 'simulate the object and hold it against the clouds of a bag'),
     'demo': Verb('demo', 'run an experiment on the simulated cell, fit it and real data'),
     'cell': Verb('cell', "start the cell's nodes"),
     'faults': Verb('faults', 'show what happens to the cell when something goes wrong'),

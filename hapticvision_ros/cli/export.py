@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the result and write the export."""
     specimen = _specimen(args)
-    model, parameters, correlation = _fitted(args.result, args.which)
+    model, parameters, correlation = fitted_model(args.result, args.which)
     from hapticvision_ros.core.export import export
 
     text = export(
@@ -120,12 +120,12 @@ def _specimen(args: argparse.Namespace) -> 'Specimen | None':
     if args.area is None or args.height is None:
         raise UsageError('--area and --height belong together: give both.')
     return Specimen(
-        _quantity('--area', args.area, AREA_UNITS, 'm2', '0.0051 or 51cm2'),
-        _quantity('--height', args.height, LENGTH_UNITS, 'm', '0.04 or 40mm'),
+        quantity('--area', args.area, AREA_UNITS, 'm2', '0.0051 or 51cm2'),
+        quantity('--height', args.height, LENGTH_UNITS, 'm', '0.04 or 40mm'),
     )
 
 
-def _quantity(
+def quantity(
     option: str, text: str, units: Mapping[str, float], default: str, example: str
 ) -> float:
     """Return a number above zero in SI units, given with or without its unit."""
@@ -136,13 +136,13 @@ def _quantity(
     return float(match[1] + (match[2] or '')) * units[unit]
 
 
-def _fitted(
+def fitted_model(
     path: Path, which: str | None
 ) -> 'tuple[Model, dict[str, Estimate], FloatArray | None]':
     """Return the model of a result, its parameters, and how their errors go together."""
     from hapticvision_ros.core.composition import Model
 
-    result = _read(path)
+    result = read_result(path)
     chosen = which or ('after' if result.get('after') is not None else 'before')
     fitted = result.get(chosen)
     if fitted is None:
@@ -189,7 +189,7 @@ def _correlation(rows: list[list[float | None]] | None, size: int) -> 'FloatArra
     return matrix
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_result(path: Path) -> dict[str, Any]:
     """Return the document of a result."""
     try:
         result = json.loads(path.read_text(encoding='utf-8'))

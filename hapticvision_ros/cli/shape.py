@@ -1,0 +1,279 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+``hapticvision shape``: the object simulated with a fitted model, beside the clouds of a bag.
+
+Everything is made before anything is written; ``shape.json`` comes last, so that a folder that
+has one has the rest.
+"""
+
+import argparse
+from collections.abc import Iterable
+import contextlib
+import os
+from pathlib import Path
+import re
+import tempfile
+from typing import Final, TYPE_CHECKING
+
+from hapticvision_ros.cli.export import fitted_model, quantity, read_result
+from hapticvision_ros.cli.fit import Progress, write_json
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.core.units import LENGTH_UNITS
+
+if TYPE_CHECKING:
+    from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
+
+_DEFAULT_PITCH: Final = 0.005
+_MOST_FRAMES: Final = 100
+_MM: Final = 1e-3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the verb."""
+    parser.add_argument(
+        'result', type=Path, metavar='RESULT_JSON', help='what hapticvision fit wrote'
+    )
+    parser.add_argument('bag', type=Path, metavar='BAG', help='a trial with clouds and a release')
+    parser.add_argument(
+        '--out', type=Path, required=True, metavar='DIR', help='where shape.json and the rest go'
+    )
+    parser.add_argument(
+        '--tool-radius',
+        required=True,
+        metavar='LENGTH',
+        help='of the flat, round tool, in metres or as 12.6mm',
+    )
+    parser.add_argument(
+        '--sphere', action='store_true', help='the tool ends in a sphere of that radius'
+    )
+    parser.add_argument(
+        '--size',
+        metavar='LxWxH',
+        help='of an object that is a block, such as 85x60x40mm (default: what the cloud shows)',
+    )
+    parser.add_argument(
+        '--cell', metavar='LENGTH', help='side of a cell of the lattice (default: 5mm)'
+    )
+    parser.add_argument(
+        '--contact',
+        nargs=2,
+        type=float,
+        metavar=('X', 'Y'),
+        help="the tool's axis in the frame of the clouds, in metres (default: where it is seen)",
+    )
+    parser.add_argument(
+        '--which',
+        choices=('before', 'after'),
+        help='the base model, or the one with what it lacked (default: after where there is one)',
+    )
+    parser.add_argument(
+        '--volume-ratio',
+        type=float,
+        metavar='R',
+        help="stiffness against a change of volume over Young's modulus (default: 14)",
+    )
+    parser.add_argument(
+        '--rounds',
+        type=int,
+        default=3,
+        metavar='N',
+        help='runs of the calibration of the links at most (default: 3)',
+    )
+    parser.add_argument(
+        '--average',
+        type=int,
+        default=5,
+        metavar='N',
+        help='frames that are averaged at each time (default: 5)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, compare, and write."""
+    _check(args)
+    for variable in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
+        os.environ.setdefault(variable, '1')
+    settings = _settings(args)
+    study, which = _study(args, settings)
+    from hapticvision_ros.core.surface.document import shape_document
+    from hapticvision_ros.report.shape import files, render_shape
+
+    document = shape_document(study, result=str(args.result), which=which, bag=str(args.bag))
+    with Progress() as tell:
+        tell('drawing')
+        made = dict(files(study))
+        page = render_shape(
+            study,
+            result=str(args.result),
+            bag=str(args.bag),
+            warnings=document['warnings'],
+            made=made,
+        )
+    made['shape.html'] = page.encode()
+    out: Path = args.out
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _write(out, made.items())
+        write_json(out / 'shape.json', document)
+    except OSError as error:
+        raise InputError(
+            f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
+        ) from error
+    _print(study, document['warnings'])
+    print(f'\nWrote {out / "shape.json"}, {out / "shape.html"} and {len(made) - 1} files beside.')
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what does not fit together, before anything is read."""
+    there = next((path for path in (args.out, *args.out.parents) if path.exists()), args.out)
+    if not there.is_dir():
+        raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UsageError(f'--out {args.out}: {there} cannot be written to: choose another.')
+    if args.rounds < 1:
+        raise UsageError(f'--rounds {args.rounds}: one run or more.')
+    if not 1 <= args.average <= _MOST_FRAMES:
+        raise UsageError(f'--average {args.average}: from 1 to {_MOST_FRAMES} frames.')
+    if args.volume_ratio is not None and not 0.0 <= args.volume_ratio < float('inf'):
+        raise UsageError(f'--volume-ratio {args.volume_ratio:g}: zero or above.')
+
+
+def _settings(args: argparse.Namespace) -> 'ShapeSettings':
+    """Return what the arguments ask for."""
+    radius = quantity('--tool-radius', args.tool_radius, LENGTH_UNITS, 'm', '0.0126 or 12.6mm')
+    pitch = _DEFAULT_PITCH
+    if args.cell is not None:
+        pitch = quantity('--cell', args.cell, LENGTH_UNITS, 'm', '0.005 or 5mm')
+    size = None if args.size is None else _size(args.size)
+    from hapticvision_ros.core.body.push import Surroundings
+    from hapticvision_ros.core.surface.cloud import CloudSettings
+    from hapticvision_ros.core.surface.study import ShapeSettings
+
+    surroundings = (
+        Surroundings()
+        if args.volume_ratio is None
+        else Surroundings(volume_ratio=args.volume_ratio)
+    )
+    return ShapeSettings(
+        cloud=CloudSettings(tool_radius=radius, average=args.average),
+        pitch=pitch,
+        size=size,
+        contact=None if args.contact is None else (args.contact[0], args.contact[1]),
+        sphere=args.sphere,
+        surroundings=surroundings,
+        rounds=args.rounds,
+    )
+
+
+def _size(text: str) -> tuple[float, float, float]:
+    """Return length, width and height of a block [m]."""
+    match = re.fullmatch(r'([\d.]+)\s*x\s*([\d.]+)\s*x\s*([\d.]+)\s*(m|mm)?', text.strip())
+    values: list[float] = []
+    if match is not None:
+        with contextlib.suppress(ValueError):
+            values = [float(one) * LENGTH_UNITS[match[4] or 'm'] for one in match.groups()[:3]]
+    if len(values) != 3 or not all(value > 0.0 for value in values):
+        raise UsageError(f"--size '{text}' is no size of a block: write it as 85x60x40mm.")
+    length, width, height = values
+    return max(length, width), min(length, width), height
+
+
+def _study(args: argparse.Namespace, settings: 'ShapeSettings') -> 'tuple[ShapeStudy, str]':
+    """Return what was found, and which model of the result it was found with."""
+    result = read_result(args.result)
+    model, estimates, _ = fitted_model(args.result, args.which)
+    from hapticvision_ros.bag.reader import read_trial
+    from hapticvision_ros.core.export import known_values
+
+    parameters = known_values(model, estimates)
+    with Progress() as tell:
+        tell('reading')
+        trial = read_trial(args.bag)
+        if trial.clouds is None:
+            raise InputError(
+                f'{args.bag} has no clouds: record /range_sensor/points, or choose another bag.'
+            )
+        from hapticvision_ros.core.segmentation import segment
+        from hapticvision_ros.core.surface.study import study_shape
+
+        phases = segment(trial.force, trial.tool_height, trial.displacement_height)
+        depths = [one.get('depth_m') for one in result.get('trials', [])]
+        known = [float(depth) for depth in depths if depth is not None]
+        try:
+            study = study_shape(
+                trial,
+                phases,
+                model,
+                parameters,
+                settings,
+                reference_depth=max(known, default=None),
+                progress=tell,
+            )
+        except InputError as error:
+            # The numerics know no files.
+            raise InputError(f'{args.bag}: {str(error).rstrip(".")}.') from error
+    chosen = args.which or ('after' if result.get('after') is not None else 'before')
+    return study, chosen
+
+
+def _write(out: Path, files: Iterable[tuple[str, bytes]]) -> None:
+    """Write files so that each is whole or as it was before, and none is left half made."""
+    drafts: list[tuple[Path, Path]] = []
+    try:
+        for name, data in files:
+            handle, draft = tempfile.mkstemp(dir=out, prefix=f'.{name}.')
+            drafts.append((Path(draft), out / name))
+            with os.fdopen(handle, 'wb') as file:
+                file.write(data)
+        mask = os.umask(0)
+        os.umask(mask)
+        for made, path in drafts:
+            made.chmod(0o666 & ~mask)
+            made.replace(path)
+    except BaseException:
+        for made, _ in drafts:
+            with contextlib.suppress(OSError):
+                made.unlink()
+        raise
+
+
+def _print(study: 'ShapeStudy', warnings: Iterable[str]) -> None:
+    """Print the numbers of the shape."""
+    from hapticvision_ros.core.surface.document import PAIRS
+
+    print('Measured beside simulated (± one standard error):\n')
+    for name, unit, what in PAIRS:
+        pair = getattr(study.deformation, name)
+        scale, symbol = (_MM, 'mm') if unit == 'm' else (1e-6, 'cm3')
+        seen, told = pair.measured, pair.simulated
+        measured = (
+            '-' if seen.value is None else f'{seen.value / scale:.3f} ± {seen.std / scale:.3f}'
+        )
+        simulated = '-' if told.value is None else f'{told.value / scale:.3f}'
+        print(f'  {what} [{symbol}]: {measured} beside {simulated}')
+    print('\nDistance of the cloud from the simulated surface [mm]:\n')
+    looks = [('before the push', study.at_rest)]
+    released = study.phases.t_release or 0.0
+    looks += [(f'{one.t - released:.2f} s after release', one) for one in study.comparisons]
+    for name, one in looks:
+        print(
+            f'  {name}: rms {one.rms / _MM:.3f} (noise {one.noise / _MM:.3f}, '
+            f'{one.noise_share:.0%} of its square), 95 % below {one.percentile_95 / _MM:.3f}, '
+            f'largest {one.largest / _MM:.3f}'
+        )
+    for warning in warnings:
+        print(f'  {warning}')

@@ -1,0 +1,329 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+One trial's shape: the object simulated with what was identified, beside what the sensor saw.
+
+The body stands where the cloud before the push shows it, the tool moves as it was recorded, and
+the surfaces are those of the times at which the free object was seen. Nothing is fitted to the
+shape.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from hapticvision_ros.core.body.calibration import calibrate, Calibration
+from hapticvision_ros.core.body.lattice import box, from_heights, Lattice
+from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.fit.release import pressed_in
+from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Trial
+from hapticvision_ros.core.surface.cloud import CloudSettings, Observation, observe
+from hapticvision_ros.core.surface.compare import compare, Comparison, seen_triangles
+from hapticvision_ros.core.surface.deformation import Deformation, measure, mesh_height
+from hapticvision_ros.core.surface.distance import nearest
+from hapticvision_ros.core.surface.mesh import Mesh
+import numpy as np
+
+type Progress = Callable[[str], None]
+
+_KNOTS: Final = (12, 4, 12, 24)
+"""Times at which the tool's motion is taken in push, hold, release and recovery."""
+_PLACINGS: Final = 5
+_UPRIGHT: Final = 0.5
+"""A triangle whose normal rises by less than this is of a side."""
+_LEAST_OF_SIDES: Final = 30
+_WELL_SEEN: Final = 0.8
+"""Less than this share of the top view is worth a warning."""
+_TOP_VIEW_NOTE: Final = (
+    "the tool's axis was taken where the mass centre of the object's top view is, since the tool "
+    'itself is not seen in the hold: a view from one side shifts it by some millimetres, so give '
+    '--contact'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeSettings:
+    """
+    What is simulated, and how.
+
+    Parameters
+    ----------
+    cloud : CloudSettings
+        How the object is taken out of the clouds; the tool's radius is that of the simulation.
+    pitch : float
+        Side of a cell of the lattice [m].
+    size : tuple of float, optional
+        Length, width and height of a box [m]; without it the body is what the cloud shows.
+    contact : tuple of float, optional
+        x and y of the tool's axis in the frame of the clouds [m].
+    sphere : bool
+        Whether the tool ends in a sphere.
+    surroundings : Surroundings, optional
+        Friction, volume stiffness, weight.
+    rounds : int
+        Runs of the calibration at most.
+    pictures : int
+        Times beside those of the comparison at which the surface is kept, for an animation.
+
+    """
+
+    cloud: CloudSettings
+    pitch: float = 0.005
+    size: tuple[float, float, float] | None = None
+    contact: tuple[float, float] | None = None
+    sphere: bool = False
+    surroundings: Surroundings | None = None
+    rounds: int = 3
+    pictures: int = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeStudy:
+    """
+    What a trial's shape tells.
+
+    Parameters
+    ----------
+    trial : Trial
+        What was measured.
+    phases : Segmentation
+        Its phases.
+    model : Model
+        The identified model.
+    settings : ShapeSettings
+        What was asked for.
+    observed : Observation
+        The object in the clouds, in its own frame.
+    calibration : Calibration
+        The links, and the run with them.
+    rest : Mesh
+        The simulated surface before the push.
+    surfaces : tuple of Mesh
+        The same at the times of ``observed.after``.
+    at_rest : Comparison
+        The cloud before the push beside `rest`: what is wrong before anything was pressed.
+    comparisons : tuple of Comparison
+        The clouds after the release beside `surfaces`.
+    deformation : Deformation
+        What stays, what comes back, bulge and volume.
+    shots : tuple of (float, Mesh)
+        Times and surfaces for an animation.
+    warnings : tuple of str
+        What to know of it, one sentence each.
+
+    """
+
+    trial: Trial
+    phases: Segmentation
+    model: Model
+    settings: ShapeSettings
+    observed: Observation
+    calibration: Calibration
+    rest: Mesh
+    surfaces: tuple[Mesh, ...]
+    at_rest: Comparison
+    comparisons: tuple[Comparison, ...]
+    deformation: Deformation
+    shots: tuple[tuple[float, Mesh], ...]
+    warnings: tuple[str, ...]
+
+
+def study_shape(
+    trial: Trial,
+    phases: Segmentation,
+    model: Model,
+    parameters: Mapping[str, float],
+    settings: ShapeSettings,
+    *,
+    reference_depth: float | None = None,
+    progress: Progress | None = None,
+) -> ShapeStudy:
+    """
+    Simulate the object of a trial and hold it against the trial's clouds.
+
+    Parameters
+    ----------
+    trial : Trial
+        A trial with clouds and a release.
+    phases : Segmentation
+        Its phases.
+    model : Model
+        The identified model.
+    parameters : mapping of str to float
+        Its parameters in SI units, by name.
+    settings : ShapeSettings
+        Tool, cells, contact.
+    reference_depth : float, optional
+        Depth of the deepest push of the campaign that was fitted [m].
+    progress : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    ShapeStudy
+        Surfaces, distances, numbers.
+
+    Raises
+    ------
+    InputError
+        If the trial has no clouds, no release, no object in them, or the body cannot be
+        simulated.
+
+    """
+    tell = progress or (lambda what: None)
+    if trial.clouds is None or not len(trial.clouds):
+        raise InputError('the bag has no clouds: record /range_sensor/points, or choose a bag')
+    tell('taking the object out of the clouds')
+    observed = observe(
+        trial.clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact
+    )
+    lattice = _lattice(observed, settings)
+    nodes, triangles = lattice.surface
+    rest = Mesh(lattice.points[nodes], triangles)
+    # Not every measured surface is as high as the arm felt it: what counts is the way beyond.
+    top = mesh_height(rest).value
+    if top is None:
+        raise InputError(
+            'the object is not under the tool: give its axis with --contact, in the frame of the '
+            'clouds'
+        )
+    motion = _motion(trial, phases, top)
+    at, shots = _times(observed, phases, settings.pictures)
+    tell(f'simulating the body with {len(lattice.points)} nodes')
+    found = calibrate(
+        lattice,
+        model,
+        parameters,
+        Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere),
+        motion,
+        settings.surroundings,
+        reference_depth=reference_depth,
+        at=at.tolist(),
+        rounds=settings.rounds,
+    )
+    tell('comparing surfaces and clouds')
+    run = found.run
+    frame_of = [int(np.argmin(np.abs(run.frame_t - t))) for t in at]
+    meshes = [Mesh(*run.surface(frame)) for frame in frame_of]
+    after = [int(np.argmin(np.abs(at - seen.t))) for seen in observed.after]
+    surfaces = tuple(meshes[k] for k in after)
+    visible = seen_triangles(observed.before, rest)
+    depth, error = pressed_in(trial, phases, phases.t_release or phases.t_end)
+    released = float(np.interp(phases.t_release or phases.t_end, run.t, run.tool))
+    warnings = [_TOP_VIEW_NOTE] if observed.contact_source == 'top view' else []
+    if observed.body.seen_share < _WELL_SEEN and settings.size is None:
+        warnings.append(
+            f'only {observed.body.seen_share:.0%} of the top of the object are seen: the rest was '
+            'filled from beside; give its --size if it is a block'
+        )
+    return ShapeStudy(
+        trial=trial,
+        phases=phases,
+        model=model,
+        settings=settings,
+        observed=observed,
+        calibration=found,
+        rest=rest,
+        surfaces=surfaces,
+        at_rest=compare(observed.before, rest, visible),
+        comparisons=tuple(
+            compare(seen, surface, visible)
+            for seen, surface in zip(observed.after, surfaces, strict=True)
+        ),
+        deformation=measure(
+            observed,
+            rest,
+            surfaces,
+            depth=Estimate(depth, error),
+            simulated_depth=top - released,
+        ),
+        shots=tuple(
+            (float(t), mesh) for t, mesh in zip(at, meshes, strict=True) if shots.count(t)
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
+    """Return the body at rest in the object's frame."""
+    body = observed.body
+    if settings.size is None:
+        return from_heights(body.low, body.cell, body.heights, settings.pitch)
+    lattice = box(settings.size, settings.pitch)
+    for _ in range(_PLACINGS):
+        lattice = replace(lattice, low=lattice.low + _misplaced(observed, lattice))
+    return lattice
+
+
+def _misplaced(observed: Observation, lattice: Lattice) -> FloatArray:
+    """Return how far a body is to be moved for its sides to be where they were seen [m]."""
+    nodes, triangles = lattice.surface
+    surface = Mesh(lattice.points[nodes], triangles)
+    found = nearest(observed.before.points, surface)
+    normals = surface.normals[found.triangle]
+    side = np.abs(normals[:, 2]) < _UPRIGHT
+    if np.count_nonzero(side) < _LEAST_OF_SIDES:
+        return np.zeros(3)
+    # Where no side is seen that faces a direction, nothing moves the body along it.
+    step = np.linalg.lstsq(normals[side, :2], found.distance[side], rcond=1e-3)[0]
+    return np.append(step, 0.0)
+
+
+def _motion(trial: Trial, phases: Segmentation, top: float) -> ToolMotion:
+    """Return the recorded motion of the tool from the contact on, over a surface at `top`."""
+    touched, released, felt = phases.t_contact, phases.t_release, phases.contact_height
+    assert touched is not None
+    assert released is not None
+    assert felt is not None
+    held = phases.t_hold if phases.t_hold is not None else touched
+    record = trial.tool_height
+    risen = record.between(released, phases.t_end)
+    up = np.flatnonzero(risen.value > felt)
+    clear = float(risen.t[up[0]]) if up.size else phases.t_end
+    clear = min(clear + 0.2 * (clear - released), phases.t_end)
+    ends = [touched, held, released, clear, phases.t_end]
+    pieces = [
+        np.linspace(start, stop, count, endpoint=False)
+        for start, stop, count in zip(ends[:-1], ends[1:], _KNOTS, strict=True)
+        if stop > start
+    ]
+    t = np.unique(np.concatenate([*pieces, [phases.t_end]]))
+    height = record.at(t) + (top - felt)
+    height[0] = top
+    return ToolMotion(t, height, tuple(one for one in (held, released) if t[0] < one < t[-1]))
+
+
+def _times(
+    observed: Observation, phases: Segmentation, pictures: int
+) -> tuple[FloatArray, Sequence[float]]:
+    """Return the times of all frames that are kept, and those of the animation."""
+    assert phases.t_contact is not None
+    assert phases.t_release is not None
+    held = phases.t_hold if phases.t_hold is not None else phases.t_contact
+    loss = phases.t_loss if phases.t_loss is not None else phases.t_release
+    quarter = max(pictures // 4, 1)
+    shots = np.concatenate(
+        [
+            np.linspace(phases.t_contact, held, quarter, endpoint=False),
+            np.linspace(held, phases.t_release, quarter, endpoint=False),
+            np.linspace(phases.t_release, loss, quarter, endpoint=False),
+            # The recovery is fast first.
+            loss + (phases.t_end - loss) * np.linspace(0.0, 1.0, quarter) ** 2,
+        ]
+    )
+    shots = np.unique(shots)
+    return np.unique(np.append(shots, [seen.t for seen in observed.after])), shots.tolist()
