@@ -44,8 +44,6 @@ LEAST_SEPARATION: Final = 1.0
 """A push that is expected to part two effects by less helps nobody [standard deviations]."""
 LEAST_SHARPENING: Final = 1.05
 """A push that is expected to make an error smaller by less than this factor helps nobody."""
-LEAST_KINDS: Final = 2
-"""Different pushes without which nothing is decided: in one alone an effect hides well."""
 PATIENCE: Final = 3
 """Pushes in a row that may be made for the same question."""
 FORCE_SHARE: Final = 0.8
@@ -305,11 +303,14 @@ class Spent:
         What was pushed, failed trials included.
     time : float
         Time since the end of the grid [s].
+    before : Findings or None
+        What was found before the last push; None before the first.
 
     """
 
     pushes: tuple[Push, ...] = field(default=())
     time: float = 0.0
+    before: Findings | None = None
 
 
 def decide(
@@ -321,8 +322,9 @@ def decide(
     What several trials leave over beside all effects may be scatter: without a repeated push that
     comes first, as no other push tells. Then effects are told apart that these trials confound.
     Where something is left nevertheless, `PATIENCE` pushes that differ from those made are to show
-    what it is; nothing is decided before `LEAST_KINDS` different ones, and that there is no effect
-    not before one beside the grid. Then parameters are sharpened until all are tight enough.
+    what it is. No answer is trusted before it has outlived a push: pushes that are much alike may
+    hide an effect, or single out a wrong one. Then parameters are sharpened until all are tight
+    enough.
 
     Parameters
     ----------
@@ -400,13 +402,19 @@ def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
 
 
 def _doubt(found: Findings, spent: Spent) -> str:
-    """Return why an answer is not to be trusted yet; empty if it is."""
-    if found.kinds < LEAST_KINDS:
-        return 'one kind of push may hide an effect'
-    helps = found.push is not None and found.push.worthwhile
-    if found.status == 'none' and not spent.pushes and helps:
-        return 'the grid shows no effect, which may hide in the parameters of pushes so alike'
-    return ''
+    """Return why an answer is not to be trusted yet; empty if it is, or if no push tells more."""
+    if found.push is None or not found.push.worthwhile or _outlived(found, spent.before):
+        return ''
+    said = f'{" and ".join(found.effects)} is' if found.effects else 'that there is no effect is'
+    return f'{said} an answer that no push has tested yet'
+
+
+def _outlived(found: Findings, before: Findings | None) -> bool:
+    """Whether the answer was among those before the last push as well, and that was recorded."""
+    if before is None or before.trials >= found.trials or len(before.sets) != len(found.sets):
+        return False
+    candidates = {name for alike in before.sets for name in alike}
+    return not before.has_rest and candidates.issuperset(found.effects)
 
 
 def _in_vain(found: Findings, spent: Spent, wanted: Push) -> str:
@@ -415,7 +423,7 @@ def _in_vain(found: Findings, spent: Spent, wanted: Push) -> str:
         return f'{PATIENCE} pushes that were to tell {" and ".join(wanted.about)} apart have not'
     if found.has_rest:
         return f'{_left(found)}, and {PATIENCE} pushes that differ have not shown what it is'
-    return f'{_doubt(found, spent)}, and {PATIENCE} that differ have come to nothing'
+    return f'{_doubt(found, spent)}: each of {PATIENCE} has led to another'
 
 
 def _left(found: Findings) -> str:

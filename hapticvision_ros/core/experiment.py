@@ -603,11 +603,12 @@ class Experiment:
         goal = self.goal
         assert goal.budget is not None
         assert self._grid_over is not None
+        spent = Spent(tuple(self._pushes), now - self._grid_over, self.findings)
         self.findings = findings
         self.decision = decide(
             findings,
             goal.budget,
-            Spent(tuple(self._pushes), now - self._grid_over),
+            spent,
             lambda push: goal.rest_time + pushing_time(goal, push),
         )
         push = self.decision.push

@@ -19,7 +19,7 @@ from dataclasses import replace
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hapticvision_ros.core.autonomy import (
     Budget,
@@ -80,10 +80,15 @@ def found(**changes: Any) -> Findings:
 
 
 def decision(
-    findings: Findings, budget: Budget = BUDGET, pushes: tuple[Push, ...] = (), time: float = 0.0
+    findings: Findings,
+    budget: Budget = BUDGET,
+    pushes: tuple[Push, ...] = (),
+    time: float = 0.0,
+    before: Findings | Literal['same'] | None = 'same',
 ) -> Decision:
-    """Return what is decided where each push takes 10 s."""
-    return decide(findings, budget, Spent(pushes, time), lambda push: 10.0)
+    """Return what is decided where each push takes 10 s; the answer has outlived one."""
+    then = replace(findings, trials=findings.trials - 1) if before == 'same' else before
+    return decide(findings, budget, Spent(pushes, time, then), lambda push: 10.0)
 
 
 def test_one_effect_and_known_parameters_are_enough() -> None:
@@ -94,28 +99,53 @@ def test_one_effect_and_known_parameters_are_enough() -> None:
 
 def test_no_effect_and_known_parameters_are_enough_too() -> None:
     nothing = found(status='none', effects=(), sets=())
-    end = decision(nothing, pushes=(SHARPEN,))
+    end = decision(nothing, before=replace(nothing, trials=3))
     assert end.ending is Ending.TIGHT
     assert end.reason.startswith('nothing is left that noise does not explain')
-    # Where no push tells more, the grid has to do.
-    assert decision(replace(nothing, push=None)).ending is Ending.TIGHT
 
 
-def test_that_there_is_no_effect_is_not_believed_of_the_grid_alone() -> None:
-    # Two pushes that are alike leave a parallel spring in the three elements.
-    other = decision(found(status='none', effects=(), sets=())).push
+NOTHING = {'status': 'none', 'effects': (), 'sets': ()}
+
+
+@pytest.mark.parametrize(
+    ('changes', 'before'),
+    [
+        ({}, None),
+        (NOTHING, None),
+        ({}, NOTHING),
+        (NOTHING, {}),
+        ({}, {'effects': ('b',), 'sets': (('b', 'c'),)}),
+        ({}, {'status': 'partly_explained'}),
+        ({}, {'trials': 4}),
+    ],
+    ids=['grid', 'no_effect', 'new', 'gone', 'another', 'beside_a_rest', 'push_failed'],
+)
+def test_an_answer_that_has_not_outlived_a_push_is_tested_by_one(
+    changes: dict[str, Any], before: dict[str, Any] | None
+) -> None:
+    then = None if before is None else replace(found(), **({'trials': 3} | before))
+    answer = found(**changes)
+    other = decision(answer, before=then).push
     assert other is not None
     assert (other.purpose, other.push_speed) == ('explore', SHARPEN.push_speed)
+    assert 'an answer that no push has tested yet' in other.reason
+    # Where no push tells more it has to do.
+    assert decision(replace(answer, push=None), before=then).push is None
 
 
-@pytest.mark.parametrize('status', ['explained', 'none'])
-def test_nothing_is_decided_on_one_kind_of_push(status: str) -> None:
-    early = found(status=status, trials=1, kinds=1)
-    other = decision(early).push
+def test_an_effect_that_was_told_from_another_has_been_tested() -> None:
+    then = found(effects=('b',), sets=(('b', 'a'),), trials=3)
+    assert decision(found(), before=then).ending is Ending.DECIDED
+
+
+def test_answers_that_change_with_each_push_come_to_an_end() -> None:
+    other = decision(found(), before=None).push
     assert other is not None
-    assert (other.purpose, other.push_speed) == ('explore', SHARPEN.push_speed)
-    assert decision(replace(early, trials=2, kinds=2), pushes=(other,)).push is None
-    assert decision(replace(early, push=None)).ending is Ending.NOTHING_HELPS
+    end = decision(found(), Budget(trials=100), (other,) * PATIENCE, before=None)
+    assert end.ending is Ending.NOTHING_HELPS
+    assert end.reason == (
+        'a is an answer that no push has tested yet: each of 3 has led to another'
+    )
 
 
 def test_effects_that_are_confounded_are_told_apart_first() -> None:
@@ -288,10 +318,12 @@ def test_an_effect_that_the_grid_leaves_confounded_is_decided_by_the_pushes_that
 ):
     pushes, spent, ends = GRID, list[Push](), list[Decision]()
     first: Findings | None = None
+    before: Findings | None = None
     while not ends:
         findings = look(measured(pushes), cell())
         first = first or findings
-        next_ = decide(findings, BUDGET, Spent(tuple(spent)), lambda push: 10.0)
+        next_ = decide(findings, BUDGET, Spent(tuple(spent), 0.0, before), lambda push: 10.0)
+        before = findings
         if next_.push is None:
             ends.append(next_)
         else:
