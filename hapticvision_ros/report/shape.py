@@ -23,7 +23,6 @@ from hapticvision_ros.core.records import Estimate, FloatArray
 from hapticvision_ros.core.scene.surface import make_surface
 from hapticvision_ros.core.surface.cloud import Seen
 from hapticvision_ros.core.surface.compare import Comparison
-from hapticvision_ros.core.surface.distance import nearest
 from hapticvision_ros.core.surface.document import PAIRS
 from hapticvision_ros.core.surface.mesh import ColourArray, Mesh, ply, vtk
 from hapticvision_ros.core.surface.raster import ParallelView
@@ -160,7 +159,8 @@ def comparison_picture(study: ShapeStudy) -> ColourArray:
             Shape(smooth.points, smooth.normals, smooth.points[:, 2]), view, low, top, dot=dot
         )
         mesh = draw(Shape.of_mesh(surface, surface.points[:, 2]), view, low, top)
-        normals = surface.normals[nearest(seen.points, surface).triangle]
+        # No shade: what counts is the colour.
+        normals = np.broadcast_to(view.toward, seen.points.shape)
         dot = math.ceil(1.4 * seen.spacing * view.scale)
         error = draw(Shape(seen.points, normals, compared.distance), view, -limit, limit, dot=dot)
         _label(cloud, f'measured, {name}')
@@ -186,7 +186,7 @@ def _dent_floor(surface: Mesh) -> float:
 
 
 def _label(picture: Picture, text: str) -> None:
-    write(picture, text, 8, 16, size=0.38)
+    write(picture, text, 8, 16, size=0.42)
 
 
 def animation(study: ShapeStudy) -> bytes:

@@ -26,7 +26,13 @@ from typing import Final, Literal
 
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.surface.mesh import ColourArray, Mesh
-from hapticvision_ros.core.surface.raster import draw_mesh, draw_points, NOTHING, ParallelView
+from hapticvision_ros.core.surface.raster import (
+    draw_mesh,
+    draw_points,
+    NOTHING,
+    ParallelView,
+    PixelArray,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,10 +106,10 @@ class Shape:
     ----------
     points, normals : ndarray, shape (n, 3)
         Points [m] and unit normals, for a cloud.
-    values : ndarray, shape (n,) or (m,)
-        What the colours show: of each point, or of each triangle.
+    values : ndarray, shape (n,)
+        What the colours show, of each point; of a surface linear in between.
     mesh : Mesh, optional
-        A surface instead of a cloud.
+        A surface instead of a cloud; the normals are then those of its triangles.
 
     """
 
@@ -115,7 +121,7 @@ class Shape:
     @classmethod
     def of_mesh(cls, mesh: Mesh, values: FloatArray) -> 'Shape':
         """Return a surface with a value for each of its points."""
-        return cls(mesh.points, mesh.normals, values[mesh.triangles].mean(axis=1), mesh)
+        return cls(mesh.points, mesh.normals, values, mesh)
 
 
 def draw(shape: Shape, view: ParallelView, low: float, high: float, *, dot: int = 3) -> Picture:
@@ -143,11 +149,29 @@ def draw(shape: Shape, view: ParallelView, low: float, high: float, *, dot: int 
         owner, _ = draw_mesh(shape.mesh, view)
     else:
         owner, _ = draw_points(shape.points, view, dot)
-    colours = _steps(shape.values, low, high) * _SHADES + _shades(shape.normals, view)
-    picture = np.full(owner.shape, Grey.PAGE, np.uint8)
     shown = owner != NOTHING
-    picture[shown] = colours[owner[shown]]
+    values = shape.values[owner[shown]] if shape.mesh is None else _between(shape, view, owner)
+    colours = _steps(values, low, high) * _SHADES
+    picture = np.full(owner.shape, Grey.PAGE, np.uint8)
+    picture[shown] = colours + _shades(shape.normals, view)[owner[shown]]
     return picture
+
+
+def _between(shape: Shape, view: ParallelView, owner: PixelArray) -> FloatArray:
+    """Return the values in the middles of the pixels that show a surface, row by row."""
+    assert shape.mesh is not None
+    row, column = np.nonzero(owner != NOTHING)
+    corners = shape.mesh.triangles[owner[row, column]]
+    a, b, c = np.moveaxis(view.project(shape.points)[corners][:, :, :2], 1, 0)
+    pixel = np.stack((column + 0.5, row + 0.5), axis=1)
+
+    def area(one: FloatArray, two: FloatArray) -> FloatArray:
+        return np.asarray(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+
+    whole = area(b - a, c - a)
+    at_b, at_c = area(pixel - a, c - a) / whole, area(b - a, pixel - a) / whole
+    weights = np.stack((1.0 - at_b - at_c, at_b, at_c), axis=1)
+    return np.asarray((weights * shape.values[corners]).sum(axis=1))
 
 
 def _shades(normals: FloatArray, view: ParallelView) -> NDArray[np.intp]:

@@ -34,7 +34,7 @@ from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Se
 from hapticvision_ros.core.scene.body import Body, make_body
 from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane
 from hapticvision_ros.core.scene.settings import DEFAULT_PLANNING, PlanningSettings
-from hapticvision_ros.core.scene.surface import make_surface
+from hapticvision_ros.core.scene.surface import make_surface, Surface
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,6 +55,10 @@ _MOST_OF_TOOL: Final = 0.7
 _ROOM: Final = 0.01
 """How far beyond its outline and above its top the object may have been pressed [m]."""
 _FINEST: Final = 1e-3
+_UPRIGHT: Final = 0.7
+"""A surface whose normal rises by less than this is a wall."""
+_WALL_CELLS: Final = 2.5
+"""A wall without a top this near, in cells, is none of it."""
 _PLANE_SAMPLE: Final = 4000.0
 """How many points the support plane is fitted to."""
 
@@ -319,9 +323,26 @@ def _taken_out(
     body = make_body(
         surface, seen[0].ground, cell=cell, closing_cells=settings.planning.closing_cells
     )
+    body = _topped(body, surface)
     to_frame = turn @ rotation
     moved = turn @ (shift - np.array([*contact, 0.0]))
     return Observation(first, tuple(one.seen for one in seen[1:]), body, to_frame, moved, source)
+
+
+def _topped(body: Body, surface: Surface) -> Body:
+    """Return a map in which cells that hold nothing but a wall are as high as what is on top."""
+    from scipy.ndimage import distance_transform_edt
+
+    place = np.floor((surface.points[:, :2] - np.array(body.low)) / body.cell).astype(np.intp)
+    upper = np.zeros(body.inside.shape, dtype=bool)
+    wall = np.zeros(body.inside.shape, dtype=bool)
+    up = surface.normals[:, 2] > _UPRIGHT
+    for flags, chosen in ((upper, up), (wall, ~up)):
+        flags[place[chosen, 1], place[chosen, 0]] = True
+    away, nearest = distance_transform_edt(~upper, return_indices=True)
+    taken = body.inside & wall & ~upper & (away < _WALL_CELLS)
+    heights = np.where(taken, body.heights[tuple(nearest)], body.heights)
+    return replace(body, heights=heights)
 
 
 def _moved(

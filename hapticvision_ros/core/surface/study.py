@@ -26,14 +26,16 @@ from typing import Final
 
 from hapticvision_ros.core.body.calibration import calibrate, Calibration
 from hapticvision_ros.core.body.lattice import box, from_heights, Lattice
+from hapticvision_ros.core.body.links import LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.body.simulation import Pressed
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.fit.release import pressed_in
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Trial
 from hapticvision_ros.core.surface.cloud import CloudSettings, Observation, observe
 from hapticvision_ros.core.surface.compare import compare, Comparison, seen_triangles
-from hapticvision_ros.core.surface.deformation import Deformation, measure, mesh_height
+from hapticvision_ros.core.surface.deformation import Deformation, measure
 from hapticvision_ros.core.surface.distance import nearest
 from hapticvision_ros.core.surface.mesh import Mesh
 import numpy as np
@@ -48,6 +50,8 @@ _UPRIGHT: Final = 0.5
 _LEAST_OF_SIDES: Final = 30
 _WELL_SEEN: Final = 0.8
 """Less than this share of the top view is worth a warning."""
+_WELL_CALIBRATED: Final = 0.02
+"""From this share of force or depth on the body's own error is worth a warning."""
 _TOP_VIEW_NOTE: Final = (
     "the tool's axis was taken where the mass centre of the object's top view is, since the tool "
     'itself is not seen in the hold: a view from one side shifts it by some millimetres, so give '
@@ -194,13 +198,10 @@ def study_shape(
     lattice = _lattice(observed, settings)
     nodes, triangles = lattice.surface
     rest = Mesh(lattice.points[nodes], triangles)
-    # Not every measured surface is as high as the arm felt it: what counts is the way beyond.
-    top = mesh_height(rest).value
-    if top is None:
-        raise InputError(
-            'the object is not under the tool: give its axis with --contact, in the frame of the '
-            'clouds'
-        )
+    tool = Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere)
+    surroundings = settings.surroundings or Surroundings()
+    # The surface is not just as high as the arm felt it: what counts is the way beyond the touch.
+    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings).meets()
     motion = _motion(trial, phases, top)
     at, shots = _times(observed, phases, settings.pictures)
     tell(f'simulating the body with {len(lattice.points)} nodes')
@@ -208,9 +209,9 @@ def study_shape(
         lattice,
         model,
         parameters,
-        Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere),
+        tool,
         motion,
-        settings.surroundings,
+        surroundings,
         reference_depth=reference_depth,
         at=at.tolist(),
         rounds=settings.rounds,
@@ -229,6 +230,12 @@ def study_shape(
         warnings.append(
             f'only {observed.body.seen_share:.0%} of the top of the object are seen: the rest was '
             'filled from beside; give its --size if it is a block'
+        )
+    if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
+        warnings.append(
+            f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '
+            f'largest force and {found.height_misfit:.2g} of the depth: the distances hold that '
+            'as well'
         )
     return ShapeStudy(
         trial=trial,
@@ -262,8 +269,10 @@ def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
     """Return the body at rest in the object's frame."""
     body = observed.body
     if settings.size is None:
-        return from_heights(body.low, body.cell, body.heights, settings.pitch)
-    lattice = box(settings.size, settings.pitch)
+        lattice = from_heights(body.low, body.cell, body.heights, settings.pitch)
+    else:
+        lattice = box(settings.size, settings.pitch)
+    # Whole cells, and a far side that is hidden: the sides that are seen tell where it stands.
     for _ in range(_PLACINGS):
         lattice = replace(lattice, low=lattice.low + _misplaced(observed, lattice))
     return lattice
