@@ -48,6 +48,8 @@ PATIENCE: Final = 3
 """Pushes in a row that may be made for the same question."""
 FORCE_SHARE: Final = 0.8
 """Share of the arm's force limit that a push is chosen to stay within."""
+SPREAD: Final = 3.0
+"""Factor by which speed and hold of a chosen push may be beyond those of the grid."""
 DIGITS: Final = 3
 """Of speed, depth and hold of a push."""
 
@@ -478,8 +480,12 @@ class Cell:
         The arm's limits.
     usual : PushGoal
         A push of the grid: what all pushes have in common.
+    slowest, fastest : float
+        The grid's speeds [m/s]: no push is chosen beyond `SPREAD` times these.
     deepest : float
-        The grid's largest depth [m]: nothing deeper is chosen.
+        The grid's largest depth [m]: no deeper push is chosen.
+    longest_hold : float
+        The grid's hold [s]: none is chosen beyond `SPREAD` times this.
     cautious : bool
         Whether a chosen push has failed, so that none is chosen that is faster than those that
         have not.
@@ -488,7 +494,10 @@ class Cell:
 
     limits: PushLimits
     usual: PushGoal
+    slowest: float
+    fastest: float
     deepest: float
+    longest_hold: float
     cautious: bool = False
 
     def document(self) -> dict[str, Any]:
@@ -501,14 +510,17 @@ class Cell:
         return cls(
             limits=PushLimits(**document['limits']),
             usual=PushGoal(**document['usual']),
-            deepest=float(document['deepest']),
+            **{
+                name: float(document[name])
+                for name in ('slowest', 'fastest', 'deepest', 'longest_hold')
+            },
             cautious=bool(document['cautious']),
         )
 
 
 def reach(trials: 'Sequence[TrialAnalysis]', cell: Cell) -> 'Reach':
     """
-    Return the pushes that may be chosen: near those of the trials, and within the cell's limits.
+    Return the pushes that may be chosen: near those of the grid, and within the arm's limits.
 
     No push is deeper than the grid. At the same depth the force of a viscous body grows at most
     as the speed: the fastest push is that at which it would reach `FORCE_SHARE` of the limit. A
@@ -529,27 +541,27 @@ def reach(trials: 'Sequence[TrialAnalysis]', cell: Cell) -> 'Reach':
     """
     from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
 
-    phases = [each.segmentation for each in trials]
-    near = Reach.like(phases)
-    deepest = min(near.deepest, cell.deepest, cell.limits.max_depth)
-    made = [p.push_speed for p in phases if p.push_speed]
-    fastest_made = max(made, default=near.fastest)
-    bearable = [
-        each.segmentation.push_speed * FORCE_SHARE * cell.limits.max_force / _peak(each)
+    limits = cell.limits
+    deepest = min(cell.deepest, limits.max_depth)
+    made = [
+        (p.push_speed, p.depth, _peak(each))
         for each in trials
-        if each.segmentation.push_speed
-        and (each.segmentation.depth or 0.0) > 0.95 * deepest
-        and _peak(each) > 0.0
+        if (p := each.segmentation).push_speed and p.depth
     ]
     # What was pushed without an abort may be pushed again.
-    fastest = max(min(near.fastest, max(bearable, default=fastest_made)), fastest_made)
-    if cell.cautious:
-        fastest = fastest_made
-    fastest = min(fastest, cell.limits.max_speed)
-    slowest = min(near.slowest, fastest)
+    fastest = max((speed for speed, _, _ in made), default=cell.fastest)
+    if not cell.cautious:
+        bearable = [
+            speed * FORCE_SHARE * limits.max_force / peak
+            for speed, depth, peak in made
+            if depth > 0.95 * deepest and peak > 0.0
+        ]
+        fastest = max(fastest, min(SPREAD * cell.fastest, max(bearable, default=0.0)))
+    fastest = min(fastest, limits.max_speed)
+    slowest = min(cell.slowest / SPREAD, fastest)
     shortest = replace(cell.usual, push_speed=slowest, depth=deepest, hold_time=0.0)
-    spare = cell.limits.max_duration - expected_duration(shortest, cell.limits.highest_height)
-    hold = min(near.longest_hold, spare) if spare > 0.0 else near.longest_hold
+    spare = limits.max_duration - expected_duration(shortest, limits.highest_height)
+    hold = min(SPREAD * cell.longest_hold, spare) if spare > 0.0 else cell.longest_hold
     return Reach(slowest=slowest, fastest=fastest, deepest=deepest, longest_hold=hold)
 
 

@@ -739,7 +739,14 @@ class ExperimentOrchestrator(CellNode):
                     **{name: numbers[name] for name in _GOAL} | asked,
                     hold_mode=hold_mode(trial.hold_mode),
                 )
-                self._cell = Cell(limits, push, max(goal.depths))
+                self._cell = Cell(
+                    limits,
+                    push,
+                    slowest=min(goal.push_speeds),
+                    fastest=max(goal.push_speeds),
+                    deepest=max(goal.depths),
+                    longest_hold=goal.hold_time,
+                )
                 check_goal(push, limits, limits.highest_height)
         except HapticVisionError as error:
             experiment.failed(f'{trial.name}: {error}', now)

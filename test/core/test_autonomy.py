@@ -61,7 +61,7 @@ def cell(**changes: Any) -> Cell:
     """Return what the shipped arm allows, with changes of its limits."""
     limits = {name: ARM[name] for name in PushLimits.__dataclass_fields__} | changes
     usual = {name: ARM[name] for name in PushGoal.__dataclass_fields__ if name in ARM}
-    return Cell(PushLimits(**limits), PushGoal(**usual), deepest=0.006)
+    return Cell(PushLimits(**limits), PushGoal(**usual), 0.004, 0.004, 0.006, 2.0)
 
 
 def found(**changes: Any) -> Findings:
@@ -286,10 +286,10 @@ def limits() -> Callable[..., Any]:
 
 def test_pushes_are_chosen_near_the_grid_and_never_deeper(limits: Callable[..., Any]) -> None:
     allowed = limits(cell())
-    assert allowed.deepest <= 0.006
-    assert allowed.slowest == pytest.approx(0.004 / 3.0, rel=0.02)
-    assert allowed.fastest == pytest.approx(3.0 * 0.004, rel=0.02)
-    assert allowed.longest_hold == pytest.approx(6.0, rel=0.02)
+    assert allowed.deepest == 0.006
+    assert allowed.slowest == pytest.approx(0.004 / 3.0)
+    assert allowed.fastest == pytest.approx(3.0 * 0.004)
+    assert allowed.longest_hold == pytest.approx(6.0)
     assert limits(replace(cell(), deepest=0.005)).deepest == 0.005
 
 

@@ -35,7 +35,7 @@ def cell() -> Cell:
     values = default_values('arm_push_controller', PARAMETERS)
     limits = {name: values[name] for name in PushLimits.__dataclass_fields__}
     usual = {name: values[name] for name in PushGoal.__dataclass_fields__ if name in values}
-    return Cell(PushLimits(**limits), PushGoal(**usual), deepest=0.006)
+    return Cell(PushLimits(**limits), PushGoal(**usual), 0.002, 0.002, 0.006, 8.0)
 
 
 @pytest.fixture
