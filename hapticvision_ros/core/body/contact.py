@@ -162,10 +162,10 @@ class Contact:
         if held.any():
             free[held] = 0.0
             goal = x0[nodes].copy()
-            goal[: one.size, 2] += height - before
-            goal[one.size :, 2] = 0.0
+            tool = slice(0, one.size)
+            goal[:, 2] = np.where(self.by_tool[nodes], goal[:, 2] + height - before, 0.0)
             if not self._tool.sphere:
-                goal[: one.size, 2] = height
+                goal[tool, 2] = height
             correction[held] = (goal - x[nodes])[held]
         return Holds(nodes, normals, free, correction, self._drag[nodes])
 

@@ -51,13 +51,15 @@ import numpy as np
     STEP,
     AGAINST,
     PLAIN,
+    CELL,
     NUMBERS,
-) = range(19)
+) = range(20)
 """
 What a link's law is over one step: k, c1, weight e of the step's stretch, h / c2, what units and
 series spring give per force, threshold, share 1 - exp(-h / T) of the unit's way, its compliance,
 the series compliance, the weight of its end force, b, damage, the stretch it refers to, 1 / n, the
-rate and the length of the step, the viscosity that z falls back against, whether it is plain.
+rate and the length of the step, the viscosity that z falls back against, whether it is plain; and
+what e is for the volume of a cell, which does not flow.
 """
 
 _ITERATIONS = 40
@@ -291,7 +293,7 @@ def link_forces(  # type: ignore[no-untyped-def]
 
 @kernel(error_model='numpy')
 def advance_links(  # type: ignore[no-untyped-def]
-    x0, x1, origin, first, last, offsets, weight, rest, pitch, q, z, z_max, unit, ends, c0
+    x0, x1, origin, first, last, offsets, weight, rest, pitch, q, z, z_max, unit, ends
 ):
     """Take the state of the links to the end of the step; return what their springs hold [J]."""
     plain = q[PLAIN] != 0.0
@@ -340,7 +342,7 @@ def advance_links(  # type: ignore[no-untyped-def]
                 held += 0.5 * unit[k, i] * unit[k, i] / q[UNIT_SOFT]
             if has_series:
                 ends[k, i] += q[SERIES_END] * (force - ends[k, i])
-                held += 0.5 * c0 * ends[k, i] * ends[k, i]
+                held += 0.5 * q[SERIES] * ends[k, i] * ends[k, i]
             total += held * w * long * long
     return total
 
@@ -369,7 +371,7 @@ def _gradient(x, corner, slope, f):  # type: ignore[no-untyped-def]
 
 @kernel(error_model='numpy')
 def cell_forces(  # type: ignore[no-untyped-def]
-    x0, x1, origin, cells, slopes, volumes, stiffness, swift, pairs, net, matrix, fill
+    x0, x1, origin, cells, slopes, volumes, ratio, q, z, ends, pairs, net, matrix, fill
 ):
     """
     Add the forces of the cells' pressures, and minus their derivatives.
@@ -385,10 +387,13 @@ def cell_forces(  # type: ignore[no-untyped-def]
         cells are alike.
     volumes : ndarray, shape (s,)
         At rest [m^3].
-    stiffness : float
-        Of a cell against a change of its volume [Pa].
-    swift : float
-        What the change over the step adds to the mean pressure, of spring and dashpot [Pa].
+    ratio : float
+        Pressure of a cell over the force of a link that is stretched by the relative change of its
+        volume, in metres [1/m^2].
+    q : ndarray, shape (NUMBERS,)
+        The law over this step.
+    z, ends : ndarray, shape (c,) each, or (0,) where not needed
+        State of the volumes, as of the links.
     pairs : ndarray of int, shape (28, 3)
         Two corners, and the direction from the first to the second.
 
@@ -399,6 +404,8 @@ def cell_forces(  # type: ignore[no-untyped-def]
     middle = np.empty((3, 8))
     local = np.arange(8)
     small = origin.shape[1] > 0
+    has_series = ends.size > 0
+    give = 1.0 / (1.0 + q[CELL] * q[SERIES] * q[SERIES_END])
     for c in range(cells.shape[0]):
         s = c if volumes.size > 1 else 0
         slope = slopes[s]
@@ -418,7 +425,10 @@ def cell_forces(  # type: ignore[no-untyped-def]
                     start += slope[a, p] * (x0[a, i] - origin[a, i])
                     end += slope[a, p] * (x1[a, i] - origin[a, i])
                     middle[a, p] = origin[a, i]
-        mean = volumes[s] * (stiffness * (start - 1.0) + swift * (end - start))
+        stretch = end - start
+        if has_series:
+            stretch += q[SERIES] * q[SERIES_END] * ends[c]
+        mean = volumes[s] * ratio * (q[K] * z[c] + q[CELL] * stretch) * give
         _gradient(middle, local, slope, f)
         for a in range(3):
             b = (a + 1) % 3
@@ -431,7 +441,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
                 net[a, corner[p]] -= mean * g[a, p]
         if not fill:
             continue
-        stiff = swift * volumes[s]
+        stiff = ratio * q[CELL] * give * volumes[s]
         for p in range(8):
             i = corner[p]
             for a in range(3):
@@ -465,22 +475,32 @@ def cell_forces(  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy')
-def cell_state(x, origin, cells, slopes, volumes, stiffness):  # type: ignore[no-untyped-def]
-    """Return what the cells' pressures hold [J], and the least ratio of a volume to its own."""
+def advance_cells(  # type: ignore[no-untyped-def]
+    x0, x1, origin, cells, slopes, volumes, ratio, q, z, ends
+):
+    """Take the state of the volumes to the end of the step; return what is held there [J]."""
     f = np.empty((3, 3))
     corner = np.empty(8, dtype=np.int64)
     held = 0.0
-    least = np.inf
+    has_series = ends.size > 0
+    give = 1.0 / (1.0 + q[CELL] * q[SERIES] * q[SERIES_END])
     for c in range(cells.shape[0]):
         s = c if volumes.size > 1 else 0
         for p in range(8):
             corner[p] = cells[c, p]
-        ratio = _gradient(x, corner, slopes[s], f)
+        stretch = _gradient(x1, corner, slopes[s], f) - _gradient(x0, corner, slopes[s], f)
         if origin.shape[1] > 0:
-            ratio = 1.0
+            stretch = 0.0
             for p in range(8):
                 for a in range(3):
-                    ratio += slopes[s, a, p] * (x[a, corner[p]] - origin[a, corner[p]])
-        held += 0.5 * stiffness * volumes[s] * (ratio - 1.0) ** 2
-        least = min(least, ratio)
-    return held, least
+                    stretch += slopes[s, a, p] * (x1[a, corner[p]] - x0[a, corner[p]])
+        if has_series:
+            stretch += q[SERIES] * q[SERIES_END] * ends[c]
+        force = (q[K] * z[c] + q[CELL] * stretch) * give
+        z[c] += (force - q[K] * z[c]) / q[CELL]
+        part = 0.5 * q[K] * z[c] * z[c]
+        if has_series:
+            ends[c] += q[SERIES_END] * (force - ends[c])
+            part += 0.5 * q[SERIES] * ends[c] * ends[c]
+        held += part * ratio * volumes[s]
+    return held

@@ -70,9 +70,10 @@ def _multiply(matrix, x, base, sign, y, first, last, offsets):  # type: ignore[n
                 out[p] += sign * (m0[p] * x0[p] + m1[p] * x1[p] + m2[p] * x2[p])
         for k in range(offsets.size):
             off = offsets[k]
-            far0 = x[0, start + off : stop + off]
-            far1 = x[1, start + off : stop + off]
-            far2 = x[2, start + off : stop + off]
+            near, end = start + off, stop + off
+            far0 = x[0, near:end]
+            far1 = x[1, near:end]
+            far2 = x[2, near:end]
             for a in range(3):
                 out = y[a, start:stop]
                 m0 = matrix[k + 1, 3 * a, start:stop]
@@ -81,7 +82,7 @@ def _multiply(matrix, x, base, sign, y, first, last, offsets):  # type: ignore[n
                 for p in range(size):
                     out[p] += sign * (m0[p] * far0[p] + m1[p] * far1[p] + m2[p] * far2[p])
             for a in range(3):
-                out = y[a, start + off : stop + off]
+                out = y[a, near:end]
                 m0 = matrix[k + 1, a, start:stop]
                 m1 = matrix[k + 1, a + 3, start:stop]
                 m2 = matrix[k + 1, a + 6, start:stop]
@@ -138,7 +139,9 @@ def _invert(matrix, inverse, first, last):  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy')
-def _coarsen(matrix, coarse, shape, coarse_shape, first, coarse_first):  # type: ignore[no-untyped-def]
+def _coarsen(  # type: ignore[no-untyped-def]
+    matrix, coarse, shape, coarse_shape, first, coarse_first
+):
     """Set the coarse matrix to that of the fine one between trilinear fields (Galerkin)."""
     nx, ny, nz = shape
     cx, cy, _ = coarse_shape
@@ -218,7 +221,9 @@ def _coarsen(matrix, coarse, shape, coarse_shape, first, coarse_first):  # type:
 
 
 @kernel(error_model='numpy', fastmath=True)
-def _restrict(fine, coarse, shape, coarse_shape, first, coarse_first):  # type: ignore[no-untyped-def]
+def _restrict(  # type: ignore[no-untyped-def]
+    fine, coarse, shape, coarse_shape, first, coarse_first
+):
     """Set the coarse vector to the transpose of the interpolation of the fine one."""
     nx, ny, nz = shape
     cx, cy, cz = coarse_shape
@@ -253,7 +258,9 @@ def _restrict(fine, coarse, shape, coarse_shape, first, coarse_first):  # type: 
 
 
 @kernel(error_model='numpy', fastmath=True)
-def _prolong(coarse, fine, shape, coarse_shape, first, coarse_first):  # type: ignore[no-untyped-def]
+def _prolong(  # type: ignore[no-untyped-def]
+    coarse, fine, shape, coarse_shape, first, coarse_first
+):
     """Add the trilinear field of the coarse vector to the fine one."""
     nx, ny, nz = shape
     cx, cy, _ = coarse_shape

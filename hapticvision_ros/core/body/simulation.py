@@ -240,7 +240,9 @@ class Pressed:
         self.ends = np.zeros((13, length)) if math.isfinite(law.series_stiffness) else empty
         self.cells = self.place[lattice.cells]
         self.slopes, self.volumes = _cell_shapes(lattice)
-        self.stiffness = surroundings.volume_ratio * _MODULUS * law.stiffness / lattice.pitch
+        self.ratio = surroundings.volume_ratio * _MODULUS / lattice.pitch
+        self.cell_z = np.zeros(len(self.cells))
+        self.cell_ends = np.zeros(len(self.cells) if self.ends.size else 0)
         self.weight_of_node = np.zeros(len(lattice.points))
         if surroundings.density > 0.0:
             part = surroundings.density * surroundings.gravity / 8.0
@@ -261,8 +263,8 @@ class Pressed:
         """Return the positions at the start of the step, shape (n, 3) [m]."""
         return self.x0[:, self.place].T.copy()
 
-    def numbers(self, h: float, *, touching: bool) -> tuple[FloatArray, float]:
-        """Return the law of the links over a step, and the stiffness of the cells' volumes."""
+    def numbers(self, h: float, *, touching: bool) -> FloatArray:
+        """Return the law of links and cells over a step."""
         law = self.law
         q = np.zeros(forces.NUMBERS)
         against = law.bounce_viscosity + (law.flow_viscosity if touching else 0.0)
@@ -279,8 +281,8 @@ class Pressed:
             q[forces.GIVE] += q[forces.UNIT_LEFT] * q[forces.UNIT_SOFT]
         if self.ends.size:
             q[forces.SERIES] = 1.0 / law.series_stiffness
-            pace = h * law.series_stiffness / dashpots if touching else math.inf
-            q[forces.SERIES_END] = 1.0 / forces.fitted_weight(pace)
+            # Implicit Euler: what a node's release puts out of balance rings under a better rule.
+            q[forces.SERIES_END] = 1.0
             q[forces.GIVE] += q[forces.SERIES] * q[forces.SERIES_END]
         q[forces.STIFFENING] = law.stiffening
         q[forces.DAMAGE] = law.damage
@@ -292,11 +294,11 @@ class Pressed:
         q[forces.PLAIN] = float(law.plain)
         # The dashpot beside the spring of a cell keeps its volume where the tool is fast and the
         # dashpots of the links carry more than their springs.
-        slow = self.stiffness * dashpots / law.stiffness
-        swift = self.stiffness * forces.fitted_weight(h * law.stiffness / dashpots) + slow / h
-        return q, float(swift)
+        b = forces.fitted_weight(h * law.stiffness / dashpots)
+        q[forces.CELL] = law.stiffness * b + dashpots / h
+        return q
 
-    def evaluate(self, q: FloatArray, swift: float, *, fill: bool) -> FloatArray:
+    def evaluate(self, q: FloatArray, *, fill: bool) -> FloatArray:
         """Set out the forces on the nodes, shape (n, 3) [N], and the matrix where wanted."""
         self.net[:] = 0.0
         matrix = self.solver.matrix
@@ -321,7 +323,7 @@ class Pressed:
             matrix,
             fill,
         )
-        if self.stiffness > 0.0:
+        if self.ratio > 0.0:
             forces.cell_forces(
                 self.x0,
                 self.x1,
@@ -329,8 +331,10 @@ class Pressed:
                 self.cells,
                 self.slopes,
                 self.volumes,
-                self.stiffness,
-                swift,
+                self.ratio,
+                q,
+                self.cell_z,
+                self.cell_ends,
                 _PAIRS,
                 self.net,
                 matrix,
@@ -338,7 +342,7 @@ class Pressed:
             )
         if self.loose:
             # Nothing holds a free body in its place but this.
-            drag = _DRAG * (q[forces.E] + swift * pitch)
+            drag = _DRAG * (q[forces.E] + self.ratio * pitch * q[forces.CELL])
             self.net[:, self.place] -= drag * (self.x1 - self.x0)[:, self.place]
             if fill:
                 for a in (0, 4, 8):
@@ -390,7 +394,7 @@ class Pressed:
         contact = self.contact
         start = self.x0[:, self.place].T
         contact.start(start, before, down=height < before)
-        q, swift = self.numbers(h, touching=bool(contact.by_tool.any()) or height < before)
+        q = self.numbers(h, touching=bool(contact.by_tool.any()) or height < before)
         self._q = q
         self.x1[:] = self.x0
         if speed is not None:
@@ -398,7 +402,7 @@ class Pressed:
         stale, last, moved = True, math.inf, math.inf
         settled = _SETTLED * accuracy.position
         for iteration in range(_ITERATIONS):
-            net = self.evaluate(q, swift, fill=stale)
+            net = self.evaluate(q, fill=stale)
             position = self.x1[:, self.place].T
             holds = contact.holds(start, position, before, height)
             out, scale = self._balance(net, holds)
@@ -410,7 +414,7 @@ class Pressed:
                 slack = 0.1 * enough / max(1, int(contact.by_tool.sum()))
                 if contact.change(holds, net, start, position, height, slack):
                     if not stale:
-                        net = self.evaluate(q, swift, fill=True)
+                        net = self.evaluate(q, fill=True)
                         stale = True
                     holds = contact.holds(start, position, before, height)
                     out, _ = self._balance(net, holds)
@@ -423,7 +427,7 @@ class Pressed:
                 return force, on.size
             if not stale and out > _POOR * last:
                 stale = True
-                net = self.evaluate(q, swift, fill=True)
+                net = self.evaluate(q, fill=True)
             last = out
             tolerance = min(max(0.3 * enough / max(out, 1e-300), 1e-4), 0.03)
             pushed = net.copy()
@@ -457,13 +461,20 @@ class Pressed:
             self.z_max,
             self.unit,
             self.ends,
-            1.0 / self.law.series_stiffness,
         )
-        if self.stiffness > 0.0:
-            pressed, _ = forces.cell_state(
-                self.x1, self.origin, self.cells, self.slopes, self.volumes, self.stiffness
+        if self.ratio > 0.0:
+            held += forces.advance_cells(
+                self.x0,
+                self.x1,
+                self.origin,
+                self.cells,
+                self.slopes,
+                self.volumes,
+                self.ratio,
+                self._q,
+                self.cell_z,
+                self.cell_ends,
             )
-            held += pressed
         rise = (self.x1 - self.x0)[2, self.place]
         self._lifted += float(self.weight_of_node @ rise)
         self.x0[:] = self.x1
@@ -473,11 +484,9 @@ class Pressed:
         """Return what the elastic body at rest passes on when its face sinks: one solve."""
         nodes = self.face(depth)
         q = np.zeros(forces.NUMBERS)
-        q[[forces.K, forces.E, forces.PLAIN, forces.POWER]] = 1.0
+        q[[forces.K, forces.E, forces.CELL, forces.PLAIN, forces.POWER]] = 1.0
         q[forces.YIELD] = math.inf
-        stiffness, self.stiffness = self.stiffness, self.stiffness / self.law.stiffness
-        self.evaluate(q, self.stiffness, fill=True)
-        self.stiffness = stiffness
+        self.evaluate(q, fill=True)
         lowest = np.flatnonzero(self.contact.by_support)
         held = np.concatenate([nodes, lowest])
         free = np.zeros((held.size, 3, 3))
@@ -651,7 +660,7 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
         while t < stop:
             left = stop - t
             h = min(h, accuracy.longest_step)
-            if h > left * (1.0 - 1e-9):
+            if h > left * (1.0 - 1e-9) or left < 2.0 * shortest:
                 h = left
             elif h > 0.5 * left:
                 h = 0.5 * left
