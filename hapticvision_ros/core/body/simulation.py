@@ -48,6 +48,11 @@ _SHARE: Final = 1.0 / 6.0
 _SHORTEST: Final = 1.0 / 64.0
 """Shortest step, over the first after a corner."""
 _SAFE: Final = 0.85
+_FRESH: Final = 0.03
+_LATER: Final = 0.12
+"""Longest step over the relaxation time of a series spring, and over the time that has passed."""
+_DAMPED: Final = 1.5
+"""Largest weight of the end of a step of a series spring; 2 is the trapezoidal rule."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
 _DRAG: Final = 1e-6
@@ -263,6 +268,14 @@ class Pressed:
         """Return the positions at the start of the step, shape (n, 3) [m]."""
         return self.x0[:, self.place].T.copy()
 
+    def resolved(self, since: float) -> float:
+        """Return the longest step that shows how a series spring relaxes after a corner [s]."""
+        if not self.ends.size:
+            return math.inf
+        law = self.law
+        dashpots = 1.0 / (1.0 / law.bounce_viscosity + 1.0 / law.flow_viscosity)
+        return _FRESH * dashpots / law.series_stiffness + _LATER * since
+
     def numbers(self, h: float, *, touching: bool) -> FloatArray:
         """Return the law of links and cells over a step."""
         law = self.law
@@ -281,8 +294,10 @@ class Pressed:
             q[forces.GIVE] += q[forces.UNIT_LEFT] * q[forces.UNIT_SOFT]
         if self.ends.size:
             q[forces.SERIES] = 1.0 / law.series_stiffness
-            # Implicit Euler: what a node's release puts out of balance rings under a better rule.
-            q[forces.SERIES_END] = 1.0
+            # Not all of the fitted rule: what a node's release puts out of balance would ring.
+            pace = h * law.series_stiffness / dashpots
+            best = 1.0 / forces.fitted_weight(pace)
+            q[forces.SERIES_END] = min(best, _DAMPED) if touching else 1.0
             q[forces.GIVE] += q[forces.SERIES] * q[forces.SERIES_END]
         q[forces.STIFFENING] = law.stiffening
         q[forces.DAMAGE] = law.damage
@@ -656,10 +671,11 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
     shortest = _SHORTEST * accuracy.first_step
     for stop in _stops(body, motion):
         h = accuracy.first_step
+        begun = t
         speed: FloatArray | None = None
         while t < stop:
             left = stop - t
-            h = min(h, accuracy.longest_step)
+            h = min(h, accuracy.longest_step, body.resolved(t - begun))
             if h > left * (1.0 - 1e-9) or left < 2.0 * shortest:
                 h = left
             elif h > 0.5 * left:

@@ -1,0 +1,196 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The body in 3D: time, error against a converged run, growth with the number of nodes, match.
+
+The object is a block of 85 x 60 x 40 mm under a flat tool of 12.6 mm radius: push at 1.3 mm/s,
+hold and recovery, 130 s in all. A run is held against one with a hundredth of its tolerances: the
+force as the mean over each step, over the largest force; the height of the contact at the ends of
+the steps. CPU time is that of the process.
+"""
+
+import argparse
+import resource
+import time
+
+from hapticvision_ros.core.body.calibration import calibrate, gauge
+from hapticvision_ros.core.body.lattice import box, Lattice
+from hapticvision_ros.core.body.links import link_law, LinkLaw
+from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, simulate
+from hapticvision_ros.core.composition import Model
+import numpy as np
+
+SIZE = (0.085, 0.060, 0.040)
+TOOL = Tool(0.0126, 0.0, 0.0)
+IDENTIFIED = {
+    'K1': 5000.0,
+    'C1': 84000.0,
+    'C2': 107000.0,
+    'F_y': 5.0,
+    'K_0': 60000.0,
+    'K_2': 20000.0,
+    'C_3': 40000.0,
+    'n': 0.8,
+    'D': 0.1,
+}
+EFFECTS = (
+    (),
+    ('yield_force',),
+    ('second_retardation',),
+    ('series_spring',),
+    ('strain_stiffening',),
+    ('shear_thinning',),
+    ('damage',),
+)
+
+
+def motion(depth: float) -> ToolMotion:
+    """Return the trial of 130 s."""
+    pressed = depth / 1.3e-3
+    return ToolMotion.trial(
+        SIZE[2], depth=depth, push_speed=1.3e-3, hold=60.0, recovery=130.0 - pressed - 60.0
+    )
+
+
+def parameters(depth: float) -> dict[str, float]:
+    """Return the identified numbers, the stiffening for the depth."""
+    return IDENTIFIED | {'beta': 0.3 / depth**2}
+
+
+def law(body: Lattice, model: Model, depth: float, around: Surroundings) -> LinkLaw:
+    """Return the links by the scaling law."""
+    given = {name: parameters(depth)[name] for name in model.names}
+    return link_law(given, gauge(body, TOOL, around), reference_depth=depth)
+
+
+def errors(run: BodyRun, exact: BodyRun) -> tuple[float, float, float, float]:
+    """Return force, largest and rms over the largest force, and height, largest and rms [m]."""
+    impulse = np.append(0.0, np.cumsum(exact.force * np.diff(exact.t)))
+    mean = np.diff(np.interp(run.t, exact.t, impulse)) / np.diff(run.t)
+    force = np.abs(run.force - mean) / exact.force.max()
+    height = np.abs(run.height - np.interp(run.t, exact.t, exact.height))
+    long = np.diff(run.t) / run.t[-1]
+    return (
+        float(force.max()),
+        float(np.sqrt(long @ force**2)),
+        float(height.max()),
+        float(np.sqrt(long @ height[1:] ** 2)),
+    )
+
+
+def _timed(*arguments: object, **options: object) -> tuple[BodyRun, float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    run = simulate(*arguments, **options)  # type: ignore[arg-type]
+    return run, time.perf_counter() - wall, time.process_time() - cpu
+
+
+def accuracy(pitch: float, depth: float, small: bool, skip: int) -> None:
+    """Print time and error of one run for each effect."""
+    body = box(SIZE, pitch)
+    around = Surroundings(small=small)
+    fine = Accuracy(position=2e-7, first_step=0.01, longest_step=0.5, growth=1.2, balance=1e-5)
+    print(f'{len(body.points)} nodes, {1e3 * depth:g} mm{", small" if small else ""}')
+    print(
+        'effect | wall s | CPU s | steps | Newton | cycles | force max, rms % | height max, rms mm'
+    )
+    for effects in EFFECTS[skip:]:
+        model = Model(effects)
+        links = law(body, model, depth, around)
+        simulate(body, links, TOOL, motion(depth), around)
+        run, wall, cpu = _timed(body, links, TOOL, motion(depth), around)
+        exact, _, long = _timed(body, links, TOOL, motion(depth), around, accuracy=fine)
+        f_max, f_rms, h_max, h_rms = errors(run, exact)
+        print(
+            f'{model.name} | {wall:.2f} | {cpu:.2f} | {run.force.size} | {run.newton} | '
+            f'{run.cycles} | {100 * f_max:.3f}, {100 * f_rms:.3f} | {1e3 * h_max:.4f}, '
+            f'{1e3 * h_rms:.4f} | reference {exact.force.size} steps, {long:.0f} s',
+            flush=True,
+        )
+
+
+def growth(pitches: list[float], depth: float) -> None:
+    """Print time and memory for finer and finer cells."""
+    model = Model(('yield_force',))
+    print('nodes | CPU s | wall s | ms a node | steps | Newton | cycles | MB | exponent')
+    before: tuple[int, float] | None = None
+    for pitch in pitches:
+        body = box(SIZE, pitch)
+        around = Surroundings()
+        links = law(body, model, depth, around)
+        run, wall, cpu = _timed(body, links, TOOL, motion(depth), around)
+        nodes = len(body.points)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        power = '-'
+        if before is not None:
+            power = f'{np.log(cpu / before[1]) / np.log(nodes / before[0]):.2f}'
+        print(
+            f'{nodes} | {cpu:.1f} | {wall:.1f} | {1e3 * cpu / nodes:.2f} | {run.force.size} | '
+            f'{run.newton} | {run.cycles} | {memory:.0f} | {power}',
+            flush=True,
+        )
+        before = nodes, cpu
+
+
+def match(pitch: float, depth: float, rounds: int) -> None:
+    """Print how well calibrated bodies agree with the model in one dimension."""
+    body = box(SIZE, pitch)
+    print('model | kinematics | rounds | force % | height % | recovered over identified')
+    for small in (True, False):
+        for effects in EFFECTS:
+            model = Model(effects)
+            identified = parameters(depth)
+            found = calibrate(
+                body,
+                model,
+                identified,
+                TOOL,
+                motion(depth),
+                Surroundings(small=small),
+                rounds=rounds,
+            )
+            ratios = ', '.join(
+                f'{name} {value / identified[name]:.4f}' for name, value in found.recovered.items()
+            )
+            print(
+                f'{model.name} | {"small" if small else "large"} | {found.rounds} | '
+                f'{100 * found.force_misfit:.2f} | {100 * found.height_misfit:.2f} | {ratios}',
+                flush=True,
+            )
+
+
+def main() -> int:
+    """Print what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('what', choices=('accuracy', 'growth', 'match'))
+    parser.add_argument('--pitch-mm', type=float, nargs='+', default=[5.0])
+    parser.add_argument('--depth-mm', type=float, default=10.0)
+    parser.add_argument('--rounds', type=int, default=6)
+    parser.add_argument('--skip', type=int, default=0, help='effects to leave out')
+    parser.add_argument('--small', action='store_true', help='keep the directions of the links')
+    arguments = parser.parse_args()
+    depth = 1e-3 * arguments.depth_mm
+    pitches = [1e-3 * p for p in arguments.pitch_mm]
+    if arguments.what == 'accuracy':
+        accuracy(pitches[0], depth, arguments.small, arguments.skip)
+    elif arguments.what == 'growth':
+        growth(pitches, depth)
+    else:
+        match(pitches[0], depth, arguments.rounds)
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
