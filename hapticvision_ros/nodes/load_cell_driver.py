@@ -251,6 +251,7 @@ PARAMETERS: Final = (
         'simulated world stamps by its own clock, others by the arrival.',
         1.0,
         1e9,
+        read_only=True,
     ),
     ParameterSpec(
         'tare_time',
@@ -295,6 +296,7 @@ class LoadCellDriver(CellNode):
         self._warning_interval = values.real('warning_interval')
         self._tare_ns = round(values.real('tare_time') * NS_PER_S)
         self._latency_ns = round(values.real('latency') * NS_PER_S)
+        self._largest_error_ns = round(values.real('largest_clock_error') * NS_PER_S)
         self._rotation = _rotation(values.reals('mounting_rpy'))
         self._low_pass = LowPass(values.real('filter_delay'), values.real('rate'))
         self._monitor = StreamMonitor(values.real('read_timeout'))
@@ -382,14 +384,14 @@ class LoadCellDriver(CellNode):
 
     def _take(self, sample: WrenchSample) -> None:
         largest_gap = self.parameters.real('largest_gap')
-        off = abs(sample.stamp_ns - time.time_ns()) / NS_PER_S
-        if off > self.parameters.real('largest_clock_error'):
+        off_ns = abs(sample.stamp_ns - time.time_ns())
+        if off_ns > self._largest_error_ns:
             # A bag that holds such a stamp would last for decades.
             self._monitor.health.far_off += 1
             self._warn(
                 'far off',
-                f"The load cell gave a reading with a stamp {off:.3g} s off this machine's time; "
-                'it was left out.',
+                f'The load cell gave a reading with a stamp {off_ns / NS_PER_S:.3g} s off this '
+                "machine's time; it was left out.",
             )
             return
         stamp_ns = sample.stamp_ns - self._latency_ns
