@@ -36,7 +36,6 @@ from hapticvision_ros.core.units import LENGTH_UNITS
 if TYPE_CHECKING:
     from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
 
-_DEFAULT_PITCH: Final = 0.005
 _MOST_FRAMES: Final = 100
 _MM: Final = 1e-3
 
@@ -65,7 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='of an object that is a block, such as 85x60x40mm (default: what the cloud shows)',
     )
     parser.add_argument(
-        '--cell', metavar='LENGTH', help='side of a cell of the lattice (default: 5mm)'
+        '--cell',
+        metavar='LENGTH',
+        help="side of a cell of the lattice (default: about half the tool's radius, up to 5mm)",
     )
     parser.add_argument(
         '--contact',
@@ -155,7 +156,7 @@ def _check(args: argparse.Namespace) -> None:
 def _settings(args: argparse.Namespace) -> 'ShapeSettings':
     """Return what the arguments ask for."""
     radius = quantity('--tool-radius', args.tool_radius, LENGTH_UNITS, 'm', '0.0126 or 12.6mm')
-    pitch = _DEFAULT_PITCH
+    pitch = None
     if args.cell is not None:
         pitch = quantity('--cell', args.cell, LENGTH_UNITS, 'm', '0.005 or 5mm')
     size = None if args.size is None else _size(args.size)

@@ -277,7 +277,7 @@ def render_shape(
         bag=bag,
         model=study.model.name,
         nodes=len(study.calibration.run.lattice.points),
-        pitch=format_number(1e3 * study.settings.pitch),
+        pitch=format_number(1e3 * study.calibration.run.lattice.pitch, digits=3),
         force_misfit=f'{100.0 * study.calibration.force_misfit:.2g}',
         height_misfit=f'{100.0 * study.calibration.height_misfit:.2g}',
         comparison=_embedded('image/png', made['comparison.png']),

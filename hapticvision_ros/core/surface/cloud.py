@@ -520,14 +520,15 @@ def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] |
     if len(points) < _LEAST_POINTS:
         return None
     centre = np.median(points, axis=0)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         away = points - centre
         distance = np.maximum(np.hypot(*away.T), 1e-9)
         residual = distance - radius
-        inside = np.abs(residual) < max(3.0 * hold.plane_noise, _FINEST)
+        # All of them lead to the circle; only then it is seen what is not of it.
+        bound = 2.0 * radius if number < _ROUNDS // 2 else max(3.0 * hold.plane_noise, _FINEST)
+        inside = np.abs(residual) < bound
         if np.count_nonzero(inside) < _LEAST_POINTS:
-            # Not near yet: all of them lead there.
-            inside = np.abs(residual) < 2.0 * radius
+            return None
         outward = away[inside] / distance[inside, None]
         step, _, rank, _ = np.linalg.lstsq(outward, residual[inside], rcond=None)
         if rank < 2:

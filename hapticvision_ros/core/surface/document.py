@@ -17,6 +17,7 @@
 from collections.abc import Iterator
 from typing import Any, Final
 
+from hapticvision_ros.core.body.push import Surroundings
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.core.surface.compare import Comparison
 from hapticvision_ros.core.surface.deformation import Pair
@@ -52,7 +53,7 @@ def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> d
 
     """
     settings, run = study.settings, study.calibration.run
-    surroundings = settings.surroundings
+    surroundings = settings.surroundings or Surroundings()
     rotation, shift = study.observed.rotation, study.observed.shift
     # Where x = y = 0 of the object's frame is in the frame of the clouds before the push.
     axis = -shift @ rotation
@@ -63,12 +64,12 @@ def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> d
         'model': study.model.name,
         'bag': bag,
         'simulation': {
-            'cell_m': settings.pitch,
+            'cell_m': run.lattice.pitch,
             'nodes': len(run.lattice.points),
             'box_m': None if settings.size is None else list(settings.size),
             'tool_radius_m': settings.cloud.tool_radius,
             'tool_is_sphere': settings.sphere,
-            'volume_ratio': None if surroundings is None else surroundings.volume_ratio,
+            'volume_ratio': surroundings.volume_ratio,
             'calibration_rounds': study.calibration.rounds,
             'force_misfit': study.calibration.force_misfit,
             'height_misfit': study.calibration.height_misfit,

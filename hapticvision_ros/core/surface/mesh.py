@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 type TriangleArray = NDArray[np.integer]
 type ColourArray = NDArray[np.uint8]
 
+_VTK_TRIANGLE: Final = 5
 _PLY_TYPES: Final = {'f': 'float', 'u': 'uchar'}
 
 
@@ -202,7 +203,9 @@ def vtk(
     title: str = 'hapticvision',
 ) -> bytes:
     """
-    Return a legacy VTK file (binary poly data), in metres.
+    Return a legacy VTK file (binary), in metres.
+
+    The triangles stand in an unstructured grid: of the legacy kinds that is what most read.
 
     Parameters
     ----------
@@ -231,10 +234,13 @@ def vtk(
     cells = np.empty((faces, 4), '>i4')
     cells[:, 0], cells[:, 1:] = 3, triangles
     parts: list[str | bytes] = [
-        f'# vtk DataFile Version 3.0\n{line}\nBINARY\nDATASET POLYDATA\nPOINTS {count} float\n',
+        f'# vtk DataFile Version 3.0\n{line}\nBINARY\nDATASET UNSTRUCTURED_GRID\n'
+        f'POINTS {count} float\n',
         points.astype('>f4').tobytes(),
-        f'\nPOLYGONS {faces} {4 * faces}\n',
+        f'\nCELLS {faces} {4 * faces}\n',
         cells.tobytes(),
+        f'\nCELL_TYPES {faces}\n',
+        np.full(faces, _VTK_TRIANGLE, '>i4').tobytes(),
         '\n',
     ]
     if quantities:

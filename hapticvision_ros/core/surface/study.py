@@ -44,6 +44,12 @@ type Progress = Callable[[str], None]
 
 _KNOTS: Final = (12, 4, 12, 24)
 """Times at which the tool's motion is taken in push, hold, release and recovery."""
+_USUAL_PITCH: Final = 0.005
+"""[m]"""
+_SPAN: Final = 0.2
+"""How far a cell may be from the usual one for a block to be made of whole ones [-]."""
+_COARSE: Final = 0.02
+"""A block that is off by more than this share in its cells is worth a warning."""
 _PLACINGS: Final = 5
 _UPRIGHT: Final = 0.5
 """A triangle whose normal rises by less than this is of a side."""
@@ -68,8 +74,9 @@ class ShapeSettings:
     ----------
     cloud : CloudSettings
         How the object is taken out of the clouds; the tool's radius is that of the simulation.
-    pitch : float
-        Side of a cell of the lattice [m].
+    pitch : float, optional
+        Side of a cell of the lattice [m]; by default about half the tool's radius, at most 5 mm,
+        and so that a block is made of whole cells.
     size : tuple of float, optional
         Length, width and height of a box [m]; without it the body is what the cloud shows.
     contact : tuple of float, optional
@@ -86,7 +93,7 @@ class ShapeSettings:
     """
 
     cloud: CloudSettings
-    pitch: float = 0.005
+    pitch: float | None = None
     size: tuple[float, float, float] | None = None
     contact: tuple[float, float] | None = None
     sphere: bool = False
@@ -231,6 +238,14 @@ def study_shape(
             f'only {observed.body.seen_share:.0%} of the top of the object are seen: the rest was '
             'filled from beside; give its --size if it is a block'
         )
+    if settings.size is not None:
+        cells = np.array(lattice.full.shape) * lattice.pitch
+        if np.any(np.abs(cells / np.array(settings.size) - 1.0) > _COARSE):
+            made = ' x '.join(f'{1e3 * one:.3g}' for one in cells)
+            warnings.append(
+                f'the block is {made} mm in cells of {1e3 * lattice.pitch:.3g} mm: choose --cell '
+                'so that it divides the size'
+            )
     if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
         warnings.append(
             f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '
@@ -268,14 +283,28 @@ def study_shape(
 def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
     """Return the body at rest in the object's frame."""
     body = observed.body
+    pitch = _pitch(settings)
     if settings.size is None:
-        lattice = from_heights(body.low, body.cell, body.heights, settings.pitch)
+        lattice = from_heights(body.low, body.cell, body.heights, pitch)
     else:
-        lattice = box(settings.size, settings.pitch)
+        lattice = box(settings.size, pitch)
     # Whole cells, and a far side that is hidden: the sides that are seen tell where it stands.
     for _ in range(_PLACINGS):
         lattice = replace(lattice, low=lattice.low + _misplaced(observed, lattice))
     return lattice
+
+
+def _pitch(settings: ShapeSettings) -> float:
+    """Return the side of a cell [m]."""
+    if settings.pitch is not None:
+        return settings.pitch
+    usual = min(0.5 * settings.cloud.tool_radius, _USUAL_PITCH)
+    if settings.size is None:
+        return usual
+    tried = usual * np.linspace(1.0 - _SPAN, 1.0 + _SPAN, 401)
+    tried = tried[np.argsort(np.abs(tried - usual), kind='stable')]
+    cells = np.array(settings.size)[:, None] / tried
+    return float(tried[np.argmin(np.round(np.abs(cells - np.rint(cells)).max(axis=0), 6))])
 
 
 def _misplaced(observed: Observation, lattice: Lattice) -> FloatArray:

@@ -70,19 +70,23 @@ type Record = Callable[..., list[CloudFrame]]
 
 @pytest.fixture(scope='session')
 def record() -> Record:
-    """Return what records the clouds of the trial above, at 4 Hz."""
+    """Return what records the clouds of the trial above, usually at 4 Hz."""
 
     @cache
-    def make(*, yaw: float = 0.0, flat: bool = False) -> list[CloudFrame]:
+    def make(
+        *, yaw: float = 0.0, flat: bool = False, columns: int = 160, step: float = 0.25
+    ) -> list[CloudFrame]:
         config = load_config()
         length, width, height = SIZE
         block = replace(
             config.block, length=length, width=width, height=height, yaw=yaw, rim_width=RIM
         )
         scene = Scene(block, TOOL_RADIUS, config.range_sensor)
-        renderer = RangeRenderer(scene, width=160, height=120, depth_noise=NOISE, seed=0)
+        renderer = RangeRenderer(
+            scene, width=columns, height=3 * columns // 4, depth_noise=NOISE, seed=0
+        )
         frames = []
-        for t in np.arange(0.0, 10.0, 0.25).tolist():
+        for t in np.arange(0.0, 10.0, step).tolist():
             tool = float(TOOL.at(np.array([t]))[0])
             depth = max(true_depth(t), SIZE[2] - tool)
             cloud = renderer.render(tool, depth)

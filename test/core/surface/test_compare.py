@@ -68,6 +68,14 @@ def test_the_axis_is_that_of_the_tool_and_x_the_longer_side(record: Record, yaw:
     assert turned == pytest.approx(yaw, abs=0.02)
 
 
+def test_the_axis_of_a_tool_of_many_returns_is_found(record: Record) -> None:
+    # So many that a circle that is not there has enough of them beside it.
+    few = replace(SETTINGS, average=1)
+    found = observe(record(columns=640, step=2.0), TOOL, PHASES, few)
+    assert found.contact_source == 'tool'
+    np.testing.assert_allclose(found.shift[:2], 0.0, atol=2e-4)
+
+
 def test_residual_and_bounce_are_those_of_the_dent(observed: Observation) -> None:
     surfaces = tuple(dented(true_depth(seen.t)) for seen in observed.after)
     found = measure(observed, dented(0.0), surfaces, depth=DEPTH, simulated_depth=0.010)

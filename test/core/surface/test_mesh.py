@@ -144,7 +144,7 @@ def test_a_vtk_file_holds_points_triangles_and_numbers() -> None:
     stop = start + 12 * len(mesh.points)
     points = np.frombuffer(data[start:stop], '>f4').reshape(-1, 3)
     np.testing.assert_allclose(points, mesh.points, atol=1e-8)
-    at = data.index(b'POLYGONS')
+    at = data.index(b'\nCELLS') + 1
     start = data.index(b'\n', at) + 1
     stop = start + 16 * len(mesh.triangles)
     cells = np.frombuffer(data[start:stop], '>i4').reshape(-1, 4)

@@ -1,0 +1,155 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The verb `shape`: from a result and a bag with clouds to a folder, and what it refuses."""
+
+import json
+from pathlib import Path
+import shutil
+
+import cv2
+from hapticvision_ros.cli.main import main
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CLOUDS = ROOT / 'bags' / 'synthetic_clouds' / 'speed_5mm_s_depth_5mm'
+WITHOUT_CLOUDS = ROOT / 'bags' / 'synthetic_stiff_block' / 'speed_5mm_s_depth_5mm'
+WITHOUT_RELEASE = ROOT / 'bags' / 'muscle_ramp_hold' / 'ramp_10s'
+TOOL = ['--tool-radius', '8mm']
+
+
+def _result(path: Path, **changed: float | None) -> Path:
+    values = {'K1': 2000.0, 'C1': 1600.0, 'C2': 2400.0} | changed
+    units = {'K1': 'N/m', 'C1': 'N.s/m', 'C2': 'N.s/m'}
+    parameters = {
+        name: {'value': value, 'std': None, 'unit': units[name], 'identifiable': True}
+        for name, value in values.items()
+    }
+    document = {
+        'schema': 'hapticvision/result/1',
+        'trials': [{'depth_m': 0.005}, {'depth_m': None}],
+        'before': {'model': 'three-element', 'parameters': parameters},
+        'after': None,
+        'warnings': ['C2 is unknown: the best fit is a body that does not flow'],
+    }
+    path.write_text(json.dumps(document))
+    return path
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return what the verb wrote for the shipped bag with clouds, in coarse cells."""
+    place = tmp_path_factory.mktemp('shape')
+    arguments = ['shape', str(_result(place / 'result.json')), str(CLOUDS), *TOOL]
+    assert main([*arguments, '--rounds', '1', '--cell', '5mm', '--out', str(place / 'out')]) == 0
+    return place / 'out'
+
+
+def _no_nulls_without_reason(document: dict) -> bool:
+    missing = json.dumps(document).count('null')
+    return missing == 0 or bool(document['warnings'])
+
+
+def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
+    document = json.loads((folder / 'shape.json').read_text())
+    assert document['schema'] == 'hapticvision/shape/1'
+    assert document['model'] == 'three-element'
+    assert document['which'] == 'before'
+    # The true axis is the origin of the bag's frame; the tool is seen, and tells it.
+    assert document['contact']['source'] == 'tool'
+    assert abs(document['contact']['x_m']) < 5e-4
+    assert abs(document['contact']['y_m']) < 5e-4
+    assert document['before']['rms_m'] < 1e-3
+    residual, bouncing = document['residual_m'], document['bouncing_m']
+    # The depth is 5 mm; what is left after 3 s is what the simulated cell had.
+    assert residual['measured'] == pytest.approx(0.0020, abs=2e-4)
+    assert residual['measured'] + bouncing['measured'] == pytest.approx(0.00502, abs=5e-5)
+    assert residual['simulated'] + bouncing['simulated'] == pytest.approx(0.00502, abs=5e-5)
+    assert 0.0 < residual['simulated'] < 0.005
+    times = [look['t_s'] for look in document['after']]
+    assert times == sorted(times)
+    for look in (document['before'], *document['after']):
+        assert 0.0 < look['noise_m'] < look['rms_m'] < look['largest_m'] <= look['hausdorff_m']
+        assert look['noise_share'] == pytest.approx((look['noise_m'] / look['rms_m']) ** 2)
+    assert _no_nulls_without_reason(document)
+
+
+def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
+    looks = len(json.loads((folder / 'shape.json').read_text())['after'])
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        'shape.json',
+        'shape.html',
+        'comparison.png',
+        'animation.gif',
+        'surface_before.ply',
+        *(f'surface_{k}.ply' for k in range(1, looks + 1)),
+        *(f'surface_{k}.vtk' for k in range(1, looks + 1)),
+        *(f'cloud_{k}.ply' for k in range(1, looks + 1)),
+    }
+    assert cv2.imread(str(folder / 'comparison.png')).shape[1] == 1200
+    assert (folder / 'animation.gif').read_bytes().startswith(b'GIF89a')
+    page = (folder / 'shape.html').read_text()
+    assert page.count('data:image/') == 2
+    assert 'residual deformation' in page
+    assert 'http' not in page.partition('<body>')[2]
+
+
+@pytest.mark.parametrize(
+    ('bag', 'options', 'complaint'),
+    [
+        (WITHOUT_CLOUDS, TOOL, 'has no clouds'),
+        (WITHOUT_RELEASE, TOOL, 'has no clouds'),
+        (CLOUDS, ['--tool-radius', '8km'], 'is no size'),
+        (CLOUDS, [*TOOL, '--size', '48x36mm'], 'is no size of a block'),
+        (CLOUDS, [*TOOL, '--rounds', '0'], 'one run or more'),
+        (CLOUDS, [*TOOL, '--average', '0'], 'from 1 to'),
+        (CLOUDS, [*TOOL, '--volume-ratio', 'nan'], 'zero or above'),
+        (CLOUDS, [*TOOL, '--which', 'after'], "has no model 'after'"),
+        (CLOUDS, [*TOOL, '--cell', '0.01mm'], 'nodes'),
+        (CLOUDS, [*TOOL, '--contact', '0.5', '0.5'], 'does not meet the body'),
+        (CLOUDS / 'nothing', TOOL, 'nothing'),
+        (CLOUDS, [], 'tool-radius'),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_sentence(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    bag: Path,
+    options: list[str],
+    complaint: str,
+) -> None:
+    result = str(_result(tmp_path / 'result.json'))
+    assert main(['shape', result, str(bag), *options, '--out', str(tmp_path / 'out')]) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith('hapticvision: ')
+    assert complaint in last
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_parameter_that_is_not_known_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = str(_result(tmp_path / 'result.json', C2=None))
+    assert main(['shape', result, str(CLOUDS), *TOOL, '--out', str(tmp_path / 'out')]) == 2
+    assert 'C2 (the best fit is a body that does not flow)' in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / 'file'
+    shutil.copy(_result(tmp_path / 'result.json'), file)
+    assert main(['shape', str(file), str(CLOUDS), *TOOL, '--out', str(file / 'out')]) == 2
+    assert 'is a file: name a directory' in capsys.readouterr().err
