@@ -412,11 +412,10 @@ def _doubt(found: Findings, spent: Spent) -> str:
 
 
 def _outlived(found: Findings, before: Findings | None) -> bool:
-    """Whether the answer was among those before the last push as well, and that was recorded."""
-    if before is None or before.trials >= found.trials or len(before.sets) != len(found.sets):
+    """Whether the answer was the same before the last push, and that was recorded."""
+    if before is None or before.trials >= found.trials or before.has_rest:
         return False
-    candidates = {name for alike in before.sets for name in alike}
-    return not before.has_rest and candidates.issuperset(found.effects)
+    return set(before.effects) == set(found.effects)
 
 
 def _in_vain(found: Findings, spent: Spent, wanted: Push) -> str:
