@@ -152,9 +152,9 @@ def comparison_picture(study: ShapeStudy) -> ColourArray:
     limit = _limit(study)
     strips = []
     for name, (seen, surface, compared) in zip(names, rows, strict=True):
-        voxel = max(1.2 * seen.spacing, 1e-3)
+        voxel = max(2.0 * seen.spacing, 1e-3)
         smooth = make_surface(seen.points, voxel=voxel)
-        dot = math.ceil(1.6 * voxel * view.scale)
+        dot = math.ceil(1.5 * voxel * view.scale)
         cloud = draw(
             Shape(smooth.points, smooth.normals, smooth.points[:, 2]), view, low, top, dot=dot
         )
