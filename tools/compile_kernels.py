@@ -16,8 +16,9 @@
 Compile the kernels and keep them, so that the first fit does not wait for it.
 
 numba keeps a kernel for the types of its arguments; two shipped bags, one with a release, and the
-effects with kernels of their own call all of them as ``hapticvision fit`` does. Run it from the
-root of the repository, with the interpreter of .venv; ``tools/setup.sh`` does.
+effects with kernels of their own call all of them as ``hapticvision fit`` does, and a small body
+calls those of the shape. Run it from the root of the repository, with the interpreter of .venv;
+``tools/setup.sh`` does.
 """
 
 from pathlib import Path
@@ -25,9 +26,14 @@ import sys
 import warnings
 
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.body.lattice import box
+from hapticvision_ros.core.body.links import LinkLaw
+from hapticvision_ros.core.body.push import Tool, ToolMotion
+from hapticvision_ros.core.body.simulation import simulate
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.pipeline import analyse
+import numpy as np
 
 BAGS = ('bags/muscle_ramp_hold/ramp_10s', 'bags/synthetic_soft_block/speed_5mm_s_depth_8mm')
 EFFECTS = ('force_lag', 'periodic_disturbance')
@@ -38,6 +44,9 @@ def main() -> int:
     warnings.simplefilter('ignore')
     for bag in BAGS:
         fit([analyse(read_trial(Path(bag)))], Model(EFFECTS))
+    body = box((0.04, 0.04, 0.04), 0.01)
+    motion = ToolMotion(np.array([0.0, 0.1]), np.array([0.04, 0.0399]))
+    simulate(body, LinkLaw(1.0, 1.0, 1.0), Tool(0.01, 0.0, 0.0), motion)
     return 0
 
 

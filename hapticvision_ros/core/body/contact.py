@@ -15,12 +15,15 @@
 """
 Where tool and support hold the nodes: a set of constraints that an iteration corrects.
 
-A node that touches may not move along the normal, and not at all where friction holds it. It is
-let go where the surface would have to pull, taken where it has gone through, and slides where the
-force along the surface is more than friction bears.
+A node that touches may not move along the normal, and not at all where the surface holds it. It is
+let go where the surface would have to pull, and taken where it has gone through. Coulomb's
+friction acts against the way along the surface in the step, in full beyond a ten-thousandth of the
+pitch; an iteration takes it as a dashpot that gives as much for the way and the pressure of the
+iteration before.
 """
 
 from dataclasses import dataclass
+import math
 
 from hapticvision_ros.core.body.lattice import BoolArray, IndexArray
 from hapticvision_ros.core.body.push import Surroundings, Tool
@@ -29,6 +32,8 @@ import numpy as np
 
 _MOST_CHANGES = 3
 """How often a node may change between two states in a step."""
+_STUCK = 1e-4
+"""Way along the surface at which friction is in full, over the pitch."""
 _NEAR = 1e-6
 """Distance at which a node touches, over the pitch."""
 
@@ -48,8 +53,10 @@ class Holds:
         The projection onto where each may move.
     correction : ndarray, shape (m, 3)
         How far each is from where it has to be [m].
+    rub : ndarray, shape (m,)
+        Friction over the way along the surface [N/m].
     friction : ndarray, shape (m, 3)
-        Of those that slide, on the body [N].
+        On the body [N].
 
     """
 
@@ -57,6 +64,7 @@ class Holds:
     normals: FloatArray
     free: FloatArray
     correction: FloatArray
+    rub: FloatArray
     friction: FloatArray
 
 
@@ -76,6 +84,13 @@ class Contact:
         Its shape.
     surroundings : Surroundings
         How it and the support touch.
+
+    Attributes
+    ----------
+    by_tool, by_support : ndarray of bool, shape (n,)
+        What touches.
+    unsettled : float
+        By how much the last correction changed the pressure that friction goes by, relative.
 
     """
 
@@ -97,38 +112,47 @@ class Contact:
         self.by_tool: BoolArray = np.zeros(count, dtype=bool)
         self.by_support: BoolArray = np.zeros(count, dtype=bool)
         self.by_support[self._lowest] = True
-        self._held: BoolArray = self.by_support & (self._touches[1].friction > 0.0)
+        self._held: BoolArray = self.by_support & math.isinf(surroundings.support.friction)
         self._changes = np.zeros(count, dtype=np.intp)
-        self._drag = np.zeros((count, 3))
+        self._press = np.zeros(count)
         self._side = self._upper
+        self._untouched = True
+        self.unsettled = 0.0
 
     def start(self, x: FloatArray, height: float, *, down: bool) -> None:
         """Begin a step; a tool that comes down takes what it touches already."""
         self._changes[:] = 0
+        self.unsettled = 0.0
         axis = np.hypot(x[self._upper, 0] - self._tool.x, x[self._upper, 1] - self._tool.y)
         side = self._upper[axis <= self._tool.radius * (1.0 + _NEAR)]
         gap, _ = self._gap(x[side], height)
-        # What comes in under the edge from beside, above the face, is at the wall of the tool.
-        self._side = side[gap >= -_NEAR * self._pitch]
+        # What comes in under the edge from beside, above the face, is at the wall of the tool; but
+        # a motion may begin a little within the body.
+        below = (gap >= -_NEAR * self._pitch) | self._untouched
+        self._side = side[below]
         if down:
-            near = gap[gap >= -_NEAR * self._pitch] <= _NEAR * self._pitch
-            self.by_tool[self._side[near]] = True
-        self._held |= self.by_tool & (self._touches[0].friction > 0.0) & ~self._slides
+            self.by_tool[self._side[gap[below] <= _NEAR * self._pitch]] = True
+        self._untouched = False
+        if math.isinf(self._touches[0].friction):
+            self._held |= self.by_tool
+        if math.isinf(self._touches[1].friction):
+            self._held |= self.by_support
         self._held &= self.by_tool | self.by_support
 
     @property
-    def _slides(self) -> BoolArray:
-        return np.asarray((self._drag != 0.0).any(axis=1))
+    def slides(self) -> bool:
+        """Return whether there is friction that can be overcome."""
+        return any(0.0 < touch.friction < math.inf for touch in self._touches)
 
     @property
     def state(self) -> tuple[BoolArray, BoolArray, BoolArray, FloatArray]:
         """Return a copy of the sets, to go back to."""
-        return self.by_tool.copy(), self.by_support.copy(), self._held.copy(), self._drag.copy()
+        return self.by_tool.copy(), self.by_support.copy(), self._held.copy(), self._press.copy()
 
     @state.setter
     def state(self, value: tuple[BoolArray, BoolArray, BoolArray, FloatArray]) -> None:
         self.by_tool, self.by_support = value[0].copy(), value[1].copy()
-        self._held, self._drag = value[2].copy(), value[3].copy()
+        self._held, self._press = value[2].copy(), value[3].copy()
 
     def _gap(self, x: FloatArray, height: float) -> tuple[FloatArray, FloatArray]:
         """Return the distances from the tool's surface, and its normals out of the body."""
@@ -162,12 +186,20 @@ class Contact:
         if held.any():
             free[held] = 0.0
             goal = x0[nodes].copy()
-            tool = slice(0, one.size)
             goal[:, 2] = np.where(self.by_tool[nodes], goal[:, 2] + height - before, 0.0)
             if not self._tool.sphere:
-                goal[tool, 2] = height
+                goal[np.arange(one.size), 2] = height
             correction[held] = (goal - x[nodes])[held]
-        return Holds(nodes, normals, free, correction, self._drag[nodes])
+        rub = np.zeros(nodes.size)
+        moved = np.zeros((nodes.size, 3))
+        if self.slides:
+            tool, support = self._touches
+            friction = np.where(self.by_tool[nodes], tool.friction, support.friction)
+            rough = np.isfinite(friction) & (friction > 0.0)
+            moved = np.einsum('mij,mj->mi', free, x[nodes] - x0[nodes])
+            way = np.maximum(np.linalg.norm(moved, axis=1), _STUCK * self._pitch)
+            rub[rough] = (friction[rough] * self._press[nodes][rough]) / way[rough]
+        return Holds(nodes, normals, free, correction, rub, -rub[:, None] * moved)
 
     def change(
         self,
@@ -197,7 +229,7 @@ class Contact:
         """
         nodes = holds.nodes
         press = np.einsum('ij,ij->i', net[nodes], holds.normals)
-        tool, support = self._touches
+        support = self._touches[1]
         may = self._changes[nodes] < _MOST_CHANGES
         on_tool = self.by_tool[nodes]
         leaves = (press < -slack) & may & (on_tool | support.lets_go)
@@ -205,8 +237,8 @@ class Contact:
         self.by_tool[gone] = False
         self.by_support[gone] = False
         self._held[gone] = False
-        self._drag[gone] = 0.0
         changed = bool(leaves.any())
+        self.unsettled = 0.0
         gap, _ = self._gap(x[self._side], height)
         through = self._side[(gap < -_NEAR * self._pitch) & ~self.by_tool[self._side]]
         self.by_tool[through] = True
@@ -215,47 +247,10 @@ class Contact:
         for new in (through, low):
             self._changes[new] += 1
             changed = changed or new.size > 0
-        friction = np.where(on_tool, tool.friction, support.friction)
-        rough = np.isfinite(friction) & (friction > 0.0) & ~leaves
-        if rough.any():
-            bearable = friction[rough] * np.maximum(press[rough], 0.0)
-            changed |= self._slide(
-                nodes[rough], holds.normals[rough], bearable, net, x - x0, slack
-            )
+        bearable = np.maximum(press, 0.0) * ~leaves
+        most = float(bearable.max(initial=0.0))
+        turn = float(np.abs(bearable - self._press[nodes]).max(initial=0.0))
+        self.unsettled = turn / max(most, slack) if self.slides else 0.0
+        self._press[:] = 0.0
+        self._press[nodes] = bearable
         return changed
-
-    def _slide(
-        self,
-        nodes: IndexArray,
-        normals: FloatArray,
-        bearable: FloatArray,
-        net: FloatArray,
-        moved: FloatArray,
-        slack: float,
-    ) -> bool:
-        """Let go along the surface what friction cannot hold, and drag what slides."""
-        pull = net[nodes] - np.einsum('ij,ij->i', net[nodes], normals)[:, None] * normals
-        size = np.linalg.norm(pull, axis=1)
-        held = self._held[nodes]
-        slips = held & (size > bearable + slack) & (self._changes[nodes] < _MOST_CHANGES)
-        way = moved[nodes] - np.einsum('ij,ij->i', moved[nodes], normals)[:, None] * normals
-        length = np.linalg.norm(way, axis=1)
-        # What has just come loose goes where it is pulled; what slides is held against its way.
-        along = np.where(slips[:, None], pull, way)
-        length = np.where(slips, size, length)
-        slides = slips | (~held & (length > _NEAR * self._pitch))
-        unit = np.zeros_like(along)
-        unit[slides] = along[slides] / np.maximum(length[slides], 1e-300)[:, None]
-        drag = -bearable[:, None] * unit
-        # A node whose drag would take it back has come to rest.
-        back = ~held & slides & (np.einsum('ij,ij->i', pull, way) < 0.0)
-        back &= (self._changes[nodes] < _MOST_CHANGES) & (size <= bearable)
-        self._held[nodes[slips]] = False
-        self._held[nodes[back]] = True
-        self._changes[nodes[slips | back]] += 1
-        drag[back] = 0.0
-        before = self._drag[nodes]
-        moving = ~self._held[nodes]
-        self._drag[nodes] = np.where(moving[:, None], drag, 0.0)
-        far = float(np.abs(self._drag[nodes] - before).max(initial=0.0)) > slack
-        return bool(slips.any() or back.any() or far)

@@ -75,6 +75,9 @@ _FACES: Final = (
     ((0, 0, -1), (0, 2, 3, 1)),
     ((0, 0, 1), (4, 5, 7, 6)),
 )
+_UP: Final = 0.5
+_DOWN: Final = 0.75
+"""How far the nodes on top are moved to the measured height, over the pitch."""
 _MOST_NODES: Final = 2_000_000
 _REFINED: Final = 3
 """Voxels in a cell, along each axis, in which a cloud is set out."""
@@ -294,7 +297,8 @@ def from_heights(low: Sequence[float], cell: float, heights: FloatArray, pitch: 
     -------
     Lattice
         A column of cells is full as far up as its mean height, rounded; the nodes on top are then
-        set to the map's own height where it is within half a cell.
+        set to the map's own height where that is less than three quarters of a cell lower, or half
+        a cell higher.
 
     """
     from scipy.ndimage import map_coordinates
@@ -335,7 +339,7 @@ def from_heights(low: Sequence[float], cell: float, heights: FloatArray, pitch: 
             beside = slice(dx, dx + int(count[0])), slice(dy, dy + int(count[1]))
             np.maximum(top[beside], levels * pitch, out=top[beside])
     lift = np.where(top > 0.0, smooth - top, 0.0)
-    lift = np.clip(lift, -0.5 * pitch, 0.5 * pitch)
+    lift = np.clip(lift, -_DOWN * pitch, _UP * pitch)
     return Lattice(pitch, np.array([*origin, 0.0]), full, lift)
 
 

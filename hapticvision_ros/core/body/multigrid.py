@@ -46,8 +46,8 @@ _UPPER = np.float32(1.1)
 _SLACK = 1e-5
 """What makes the block of a node invertible that cannot move, over its trace."""
 _CHUNK = 1024
-_ROUNDED = 1e-2
-"""What may be left over where rounding stops the iteration."""
+_ROUNDED = 0.1
+"""What may be left over where rounding stops the iteration, as it does for a body that slides."""
 
 
 @kernel(error_model='numpy', fastmath=True)

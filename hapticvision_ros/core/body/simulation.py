@@ -37,6 +37,10 @@ import numpy as np
 _MODULUS: Final = 1.875
 """Young's modulus of the lattice times pitch over link stiffness."""
 _ITERATIONS: Final = 20
+_CLOSE: Final = 1e-3
+"""The same at most, over the pitch."""
+_TURNED: Final = 0.02
+"""Change of the friction in the last iteration, over the largest."""
 _POOR: Final = 0.3
 """By how much an iteration has to lower what is out of balance, for its matrix to be kept."""
 _NEARLY: Final = 5.0
@@ -256,7 +260,7 @@ class Pressed:
         self.contact = Contact(
             lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
         )
-        self.loose = surroundings.support.lets_go or not surroundings.support.friction > 0.0
+        self.loose = surroundings.support.lets_go or surroundings.support.friction < math.inf
         self.newton = 0
         self.cycles = 0
         self.largest = 0.0
@@ -357,7 +361,7 @@ class Pressed:
             )
         if self.loose:
             # Nothing holds a free body in its place but this.
-            drag = _DRAG * (q[forces.E] + self.ratio * pitch * q[forces.CELL])
+            drag = _DRAG * q[forces.E]
             self.net[:, self.place] -= drag * (self.x1 - self.x0)[:, self.place]
             if fill:
                 for a in (0, 4, 8):
@@ -376,6 +380,8 @@ class Pressed:
         right[:, self.place] = net.T
         change[:, place] = holds.correction.T
         if fresh:
+            for a in (0, 4, 8):
+                self.solver.matrix[0, a, place] += holds.rub.astype(np.float32)
             product = np.zeros_like(right)
             self.level.multiply(change, product)
             right -= product
@@ -415,8 +421,8 @@ class Pressed:
         if speed is not None:
             self.x1[:, self.place] += h * speed.T
         stale, last, moved = True, math.inf, math.inf
-        settled = _SETTLED * accuracy.position
-        for iteration in range(_ITERATIONS):
+        settled = min(_SETTLED * accuracy.position, _CLOSE * self.lattice.pitch)
+        for iteration in range(_ITERATIONS * (3 if contact.slides else 1)):
             net = self.evaluate(q, fill=stale)
             position = self.x1[:, self.place].T
             holds = contact.holds(start, position, before, height)
@@ -435,12 +441,12 @@ class Pressed:
                     out, _ = self._balance(net, holds)
                     last = moved = math.inf
             off = float(np.abs(holds.correction).max(initial=0.0))
-            if out <= enough and off <= settled and moved <= settled:
+            if out <= enough and max(off, moved) <= settled and contact.unsettled <= _TURNED:
                 on = holds.nodes[contact.by_tool[holds.nodes]]
                 force = float(net[on, 2].sum())
                 self.largest = max(self.largest, abs(force))
                 return force, on.size
-            if not stale and out > _POOR * last:
+            if not stale and (out > _POOR * last or contact.slides):
                 stale = True
                 net = self.evaluate(q, fill=True)
             last = out
@@ -512,7 +518,7 @@ class Pressed:
         correction = np.zeros((held.size, 3))
         correction[: nodes.size, 2] = -1.0
         normals = np.zeros((held.size, 3))
-        holds = Holds(held, normals, free, correction, normals)
+        holds = Holds(held, normals, free, correction, normals[:, 0], normals)
         matrix = self.solver.matrix.copy()
         self.correct(np.zeros_like(self.lattice.points), holds, 1e-5, fresh=True)
         moved = (self.x1 - self.x0).astype(np.float32)

@@ -1,0 +1,250 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The body under a tool, against what is known of it without a computer."""
+
+from dataclasses import replace
+import math
+
+from hapticvision_ros.core.body.calibration import calibrate, gauge
+from hapticvision_ros.core.body.lattice import box, Lattice
+from hapticvision_ros.core.body.links import LinkLaw
+from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
+from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+import numpy as np
+import pytest
+
+K, C1, C2 = 300.0, 5000.0, 6000.0
+LAW = LinkLaw(K, C1, C2)
+SPRING = LinkLaw(K, 0.0, 1e15)
+CUBE = box((0.04, 0.04, 0.04), 0.01)
+PLATE = Tool(1.0, 0.0, 0.0)
+SMOOTH = Touch(friction=0.0, lets_go=False)
+FREE = Surroundings(tool=Touch(friction=0.0), support=SMOOTH, volume_ratio=0.0)
+YOUNG = 1.875 * K / 0.01
+BLOCK = box((0.06, 0.06, 0.04), 0.01)
+QUICK = Accuracy(first_step=0.4, growth=2.0)
+DISC = Tool(0.0126, 0.0, 0.0)
+TRIAL = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=20.0, recovery=20.0)
+IDENTIFIED = {'K1': 5000.0, 'C1': 84000.0, 'C2': 107000.0, 'F_y': 2.0}
+
+
+@pytest.fixture(scope='module')
+def pressed() -> BodyRun:
+    """Return a block that was pressed, held and let go."""
+    return simulate(BLOCK, LAW, DISC, TRIAL, at=(2.0, 22.0, 42.0))
+
+
+@pytest.fixture(scope='module')
+def plain() -> BodyRun:
+    """Return a cube of links without effects, in fewer steps."""
+    return simulate(CUBE, LAW, DISC, TRIAL, accuracy=QUICK)
+
+
+def _sink(body: Lattice, law: LinkLaw, depth: float, around: Surroundings) -> BodyRun:
+    motion = ToolMotion(np.array([0.0, 1.0, 2.0]), 0.04 - np.array([0.0, depth, depth]), (1.0,))
+    fine = Accuracy(balance=1e-6)
+    return simulate(body, law, PLATE, motion, around, at=(2.0,), accuracy=fine)
+
+
+def test_a_uniform_push_finds_the_modulus_and_poissons_ratio_of_an_isotropic_solid() -> None:
+    depth = 1e-5
+    run = _sink(CUBE, SPRING, depth, FREE)
+    strain = depth / 0.04
+    assert run.force[-1] == pytest.approx(YOUNG * strain * 0.04**2, rel=1e-3)
+    wider = np.ptp(run.frames[-1][:, 0]) / 0.04 - 1.0
+    assert wider / strain == pytest.approx(0.25, rel=1e-3)
+
+
+def test_a_stiff_volume_gives_the_ratio_of_a_solid_of_that_bulk_modulus() -> None:
+    around = replace(FREE, volume_ratio=14.0)
+    stiffness = gauge(CUBE, PLATE, around).stiffness * K
+    bulk, shear = YOUNG * (14.0 + 2.0 / 3.0), YOUNG / 2.5
+    young = 9.0 * bulk * shear / (3.0 * bulk + shear)
+    assert stiffness == pytest.approx(young * 0.04, rel=1e-4)
+
+
+def test_a_body_that_turns_and_shifts_is_under_no_force() -> None:
+    body = Pressed(BLOCK, LAW, DISC, Surroundings())
+    angle = 0.3
+    turn = np.array(
+        [
+            [math.cos(angle), -math.sin(angle), 0.0],
+            [math.sin(angle), math.cos(angle), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    body.x1[:, body.place] = turn @ body.x0[:, body.place] + 0.01
+    q = body.numbers(0.1, touching=True)
+    net = body.evaluate(q, fill=False)
+    # Against the force of a link that is stretched by a thousandth of its length.
+    assert np.abs(net).max() < 1e-9 * C1 / 0.1 * 1e-5
+
+
+@pytest.mark.parametrize(
+    'law',
+    [
+        LAW,
+        replace(LAW, unit_stiffness=900.0, unit_viscosity=1500.0),
+        replace(LAW, series_stiffness=20 * K),
+    ],
+)
+def test_linear_links_make_a_body_that_is_the_chain_of_one_dimension(law: LinkLaw) -> None:
+    motion = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=5.0, recovery=2.0)
+    motion = ToolMotion(motion.t[:3], motion.height[:3], motion.corners[:1])
+    run = simulate(CUBE, law, PLATE, motion, replace(FREE, small=True))
+    scale = gauge(CUBE, PLATE, FREE).stiffness
+    slots = neutral()
+    slots[[Slot.K1, Slot.C1, Slot.C2]] = scale * K, scale * C1, scale * C2
+    slots[Slot.SERIES_COMPLIANCE] = 1.0 / (scale * law.series_stiffness)
+    units = np.array([law.unit_stiffness]), np.array([law.unit_viscosity])
+    if not math.isfinite(law.unit_stiffness):
+        units = np.zeros(0), np.zeros(0)
+    chain = Chain(slots, scale * units[0], scale * units[1])
+    told = respond(run.t, 0.04 - run.tool, chain)
+    # The links take a series spring by a damped rule: a hundredth of the force's jump.
+    slack = 1e-4 if math.isinf(law.series_stiffness) else 1.5e-2
+    np.testing.assert_allclose(run.force, told.force, atol=slack * told.force.max())
+
+
+def test_the_tool_never_pulls_and_the_body_keeps_its_volume(pressed: BodyRun) -> None:
+    assert pressed.force.min() >= 0.0
+    assert pressed.force[-1] == 0.0
+    assert np.abs(pressed.volume / pressed.volume[0] - 1.0).max() < 6e-3
+    in_contact = pressed.t[1:] <= 22.0
+    np.testing.assert_allclose(
+        pressed.height[1:][in_contact], 0.04 - pressed.tool[1:][in_contact], atol=2e-6
+    )
+
+
+def test_what_the_tool_does_is_stored_or_lost_and_never_comes_from_nowhere(
+    pressed: BodyRun,
+) -> None:
+    lost = np.diff(pressed.dissipated)
+    # What is out of balance does work: a thousandth of the force over the depth.
+    assert lost.min() > -1e-3 * pressed.force.max() * 0.004
+    assert pressed.stored.min() >= 0.0
+    assert pressed.dissipated[-1] > 0.5 * pressed.work[-1]
+
+
+def test_a_push_in_the_middle_makes_a_symmetric_dent(pressed: BodyRun) -> None:
+    rest = BLOCK.points
+    mirror = np.lexsort((rest[:, 2], rest[:, 1], -rest[:, 0]))
+    same = np.lexsort((rest[:, 2], rest[:, 1], rest[:, 0]))
+    moved = pressed.frames[1] - rest
+    np.testing.assert_allclose(
+        moved[same] * [-1.0, 1.0, 1.0], moved[mirror], atol=1e-3 * np.abs(moved).max()
+    )
+
+
+def test_the_body_bulges_while_pressed_and_a_measured_point_goes_with_it(
+    pressed: BodyRun,
+) -> None:
+    side = np.array([[0.03, 0.0, 0.03], [-0.03, 0.0, 0.03]])
+    for frame in (0, 1):
+        moved = pressed.carried(side, frame) - side
+        assert moved[0, 0] > 1e-5
+        assert moved[1, 0] == pytest.approx(-moved[0, 0], rel=2e-2)
+    points, triangles = pressed.surface(1)
+    assert triangles.max() == len(points) - 1
+
+
+def test_halving_the_steps_quarters_the_error() -> None:
+    motion = ToolMotion(np.array([0.0, 2.0]), np.array([0.04, 0.034]))
+    work = []
+    for h in (1.0, 0.5, 0.25):
+        even = Accuracy(position=1e-3, first_step=h, longest_step=h, growth=1.0, balance=1e-5)
+        work.append(simulate(CUBE, LAW, DISC, motion, accuracy=even).work[-1])
+    miss = np.abs(np.diff(work))
+    assert miss[0] > 1e-4 * work[-1]
+    assert miss[0] > 3.0 * miss[1]
+
+
+def test_weight_sinks_an_elastic_column_as_the_textbook_says() -> None:
+    around = replace(FREE, density=1000.0)
+    far = ToolMotion(np.array([0.0, 1.0]), np.array([0.1, 0.1]))
+    column = box((0.02, 0.02, 0.08), 0.01)
+    run = simulate(column, SPRING, PLATE, far, around, at=(1.0,))
+    sunk = 0.08 - run.frames[0][column.places[:, 2] == 8, 2].mean()
+    assert sunk == pytest.approx(1000.0 * 9.80665 * 0.08**2 / (2.0 * YOUNG), rel=2e-2)
+
+
+def test_friction_stiffens_between_none_and_all() -> None:
+    motion = ToolMotion(np.array([0.0, 1.0]), np.array([0.04, 0.038]))
+    forces = []
+    for friction in (0.0, 0.1, math.inf):
+        around = Surroundings(Touch(friction), Touch(friction, lets_go=False))
+        forces.append(simulate(CUBE, LAW, PLATE, motion, around).force[0])
+    assert forces[0] * 1.02 < forces[1] < forces[2] * 0.98
+
+
+def test_a_sphere_touches_more_the_deeper_it_is() -> None:
+    ball = Tool(0.03, 0.0, 0.0, sphere=True)
+    motion = ToolMotion(np.array([0.0, 4.0]), np.array([0.04, 0.035]))
+    run = simulate(box((0.04, 0.04, 0.04), 0.005), LAW, ball, motion)
+    assert run.touching[-1] > run.touching[0]
+    late = np.interp(3.5, run.t[1:], run.force)
+    early = np.interp(0.5, run.t[1:], run.force)
+    assert late > 2.0 * early
+
+
+@pytest.mark.parametrize('effects', [(), ('yield_force',)])
+def test_a_calibrated_body_answers_as_identified(effects: tuple[str, ...]) -> None:
+    found = calibrate(
+        BLOCK,
+        Model(effects),
+        IDENTIFIED,
+        DISC,
+        TRIAL,
+        Surroundings(small=True),
+        rounds=4 if effects else 2,
+        accuracy=QUICK,
+    )
+    assert found.force_misfit < 0.01
+    assert found.height_misfit < 0.01
+    for name, value in found.recovered.items():
+        assert value == pytest.approx(IDENTIFIED[name], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    'law',
+    [
+        replace(LAW, yield_force=0.2),
+        replace(LAW, stiffening=1e6),
+        replace(LAW, flow_index=0.7),
+        replace(LAW, damage=0.3, reference_stretch=1e-3),
+    ],
+)
+def test_an_effect_changes_the_body(law: LinkLaw, plain: BodyRun) -> None:
+    base = plain
+    run = simulate(CUBE, law, DISC, TRIAL, accuracy=QUICK)
+    assert run.force.min() >= 0.0
+    assert np.diff(run.dissipated).min() > -1e-3 * run.force.max() * 0.004
+    both = np.linspace(1.0, 41.0, 50)
+    change = np.interp(both, run.t, run.height) - np.interp(both, base.t, base.height)
+    force = np.interp(both, run.t[1:], run.force) - np.interp(both, base.t[1:], base.force)
+    assert np.abs(change).max() > 1e-5 or np.abs(force).max() > 0.01 * base.force.max()
+
+
+def test_a_tool_beside_the_body_is_refused() -> None:
+    with pytest.raises(InputError, match='does not meet the body'):
+        simulate(BLOCK, LAW, Tool(0.01, 0.1, 0.0), TRIAL)
+
+
+def test_an_effect_that_no_link_can_carry_is_refused() -> None:
+    with pytest.raises(InputError, match='springpot'):
+        calibrate(BLOCK, Model(('springpot',)), IDENTIFIED, DISC, TRIAL)
