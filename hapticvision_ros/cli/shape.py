@@ -13,20 +13,20 @@
 # limitations under the License.
 
 """
-``hapticvision shape``: the object simulated with a fitted model, beside the clouds of a bag.
+``hapticvision shape``: the object simulated with a fitted model, beside the clouds of bags.
 
-Everything is made before anything is written; ``shape.json`` comes last, so that a folder that
-has one has the rest.
+Everything of a bag is made before anything of it is written; ``shape.json`` comes last, so that a
+folder that has one has the rest. Several bags have a folder each, and a table over them.
 """
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import contextlib
 import os
 from pathlib import Path
 import re
 import tempfile
-from typing import Final, TYPE_CHECKING
+from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli.export import fitted_model, quantity, read_result
 from hapticvision_ros.cli.fit import Progress, write_json
@@ -34,8 +34,11 @@ from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
+    from hapticvision_ros.core.composition import Model
+    from hapticvision_ros.core.records import Estimate
     from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
 
+_TABLE_SCHEMA: Final = 'hapticvision/shapes/1'
 _MOST_FRAMES: Final = 100
 _MM: Final = 1e-3
 
@@ -45,7 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'result', type=Path, metavar='RESULT_JSON', help='what hapticvision fit wrote'
     )
-    parser.add_argument('bag', type=Path, metavar='BAG', help='a trial with clouds and a release')
+    parser.add_argument(
+        'bags',
+        nargs='+',
+        type=Path,
+        metavar='BAG',
+        help='a trial with clouds and a release',
+    )
     parser.add_argument(
         '--out', type=Path, required=True, metavar='DIR', help='where shape.json and the rest go'
     )
@@ -108,34 +117,93 @@ def run(args: argparse.Namespace) -> int:
     for variable in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
         os.environ.setdefault(variable, '1')
     settings = _settings(args)
-    study, which = _study(args, settings)
+    result = read_result(args.result)
+    fitted = fitted_model(args.result, args.which)[:2]
+    which = args.which or ('after' if result.get('after') is not None else 'before')
+    rows = []
+    for bag, out in zip(args.bags, _folders(args.bags, args.out), strict=True):
+        if len(args.bags) > 1:
+            print(f'{bag}\n')
+        study = _study(bag, result, fitted, settings)
+        rows.append(_done(study, args.result, which, bag, out))
+        print()
+    if len(rows) > 1:
+        path = args.out / 'shapes.json'
+        _written(args.out, lambda: write_json(path, {'schema': _TABLE_SCHEMA, 'trials': rows}))
+        print('\n'.join(_table(rows)))
+        print(f'\nWrote {path}.')
+    return 0
+
+
+def _folders(bags: Sequence[Path], out: Path) -> list[Path]:
+    """Return where each bag's files go."""
+    if len(bags) == 1:
+        return [out]
+    names = [bag.resolve().name.removesuffix('.mcap') for bag in bags]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f"two bags are called '{twice}': give each its own call and --out.")
+    return [out / name for name in names]
+
+
+def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -> dict[str, Any]:
+    """Write what was found of a bag, print it, and return its row of the table."""
     from hapticvision_ros.core.surface.document import shape_document
     from hapticvision_ros.report.shape import files, render_shape
 
-    document = shape_document(study, result=str(args.result), which=which, bag=str(args.bag))
+    document = shape_document(study, result=str(result), which=which, bag=str(bag))
     with Progress() as tell:
         tell('drawing')
         made = dict(files(study))
         page = render_shape(
             study,
-            result=str(args.result),
-            bag=str(args.bag),
+            result=str(result),
+            bag=str(bag),
             warnings=document['warnings'],
             made=made,
         )
     made['shape.html'] = page.encode()
-    out: Path = args.out
+    _written(out, lambda: _write(out, made.items()))
+    _written(out, lambda: write_json(out / 'shape.json', document))
+    _print(study, document['warnings'])
+    print(f'\nWrote {out / "shape.json"}, {out / "shape.html"} and {len(made) - 1} files beside.')
+    last = document['after'][-1]
+    return {
+        'bag': str(bag),
+        'push_speed_m_s': study.phases.push_speed,
+        'depth_m': study.phases.depth,
+        **{name: document[name] for name in ('bouncing_m', 'residual_m')},
+        **{name: last[name] for name in ('rms_m', 'noise_m', 'percentile_95_m')},
+    }
+
+
+def _written(out: Path, write: Callable[[], None]) -> None:
+    """Make a folder and write into it, or say in one sentence why not."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        _write(out, made.items())
-        write_json(out / 'shape.json', document)
+        write()
     except OSError as error:
         raise InputError(
             f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
         ) from error
-    _print(study, document['warnings'])
-    print(f'\nWrote {out / "shape.json"}, {out / "shape.html"} and {len(made) - 1} files beside.')
-    return 0
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the lines of the paper's Table 4 for some bags [mm, mm/s]."""
+    lines = ['  push speed  depth   bouncing: measured  simulated   residual: measured  simulated']
+    for row in rows:
+        cells = [
+            f'{row["push_speed_m_s"] / _MM:12.2f}'
+            if row['push_speed_m_s'] is not None
+            else f'{"-":>12}',
+            f'{row["depth_m"] / _MM:7.2f}' if row['depth_m'] is not None else f'{"-":>7}',
+        ]
+        for name in ('bouncing_m', 'residual_m'):
+            for side, width in (('measured', 21), ('simulated', 11)):
+                value = row[name][side]
+                cells.append(f'{"-":>{width}}' if value is None else f'{value / _MM:{width}.3f}')
+        lines.append(''.join(cells))
+    return lines
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -193,20 +261,24 @@ def _size(text: str) -> tuple[float, float, float]:
     return max(length, width), min(length, width), height
 
 
-def _study(args: argparse.Namespace, settings: 'ShapeSettings') -> 'tuple[ShapeStudy, str]':
-    """Return what was found, and which model of the result it was found with."""
-    result = read_result(args.result)
-    model, estimates, _ = fitted_model(args.result, args.which)
+def _study(
+    bag: Path,
+    result: Mapping[str, Any],
+    fitted: 'tuple[Model, Mapping[str, Estimate]]',
+    settings: 'ShapeSettings',
+) -> 'ShapeStudy':
+    """Return what was found in a bag."""
     from hapticvision_ros.bag.reader import read_trial
     from hapticvision_ros.core.export import known_values
 
+    model, estimates = fitted
     parameters = known_values(model, estimates)
     with Progress() as tell:
         tell('reading')
-        trial = read_trial(args.bag)
+        trial = read_trial(bag)
         if trial.clouds is None:
             raise InputError(
-                f'{args.bag} has no clouds: record /range_sensor/points, or choose another bag.'
+                f'{bag} has no clouds: record /range_sensor/points, or choose another bag.'
             )
         from hapticvision_ros.core.segmentation import segment
         from hapticvision_ros.core.surface.study import study_shape
@@ -215,7 +287,7 @@ def _study(args: argparse.Namespace, settings: 'ShapeSettings') -> 'tuple[ShapeS
         depths = [one.get('depth_m') for one in result.get('trials', [])]
         known = [float(depth) for depth in depths if depth is not None]
         try:
-            study = study_shape(
+            return study_shape(
                 trial,
                 phases,
                 model,
@@ -226,9 +298,7 @@ def _study(args: argparse.Namespace, settings: 'ShapeSettings') -> 'tuple[ShapeS
             )
         except InputError as error:
             # The numerics know no files.
-            raise InputError(f'{args.bag}: {str(error).rstrip(".")}.') from error
-    chosen = args.which or ('after' if result.get('after') is not None else 'before')
-    return study, chosen
+            raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
 
 
 def _write(out: Path, files: Iterable[tuple[str, bytes]]) -> None:

@@ -138,6 +138,36 @@ def test_what_cannot_be_done_is_said_in_one_sentence(
     assert not (tmp_path / 'out').exists()
 
 
+def test_several_bags_have_a_folder_each_and_a_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = []
+
+    def done(_: object, __: Path, which: str, bag: Path, out: Path) -> dict:
+        folders.append(out)
+        pair = {'measured': 0.00215, 'measured_std': 1e-5, 'simulated': 0.00294}
+        unseen = {'measured': None, 'measured_std': None, 'simulated': 0.00706}
+        return {
+            'bag': str(bag),
+            'push_speed_m_s': 0.0013,
+            'depth_m': 0.010,
+            'bouncing_m': pair,
+            'residual_m': unseen,
+        }
+
+    monkeypatch.setattr('hapticvision_ros.cli.shape._study', lambda *_: None)
+    monkeypatch.setattr('hapticvision_ros.cli.shape._done', done)
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), 'other.mcap', *TOOL]
+    assert main([*arguments, '--out', str(tmp_path / 'out')]) == 0
+    assert folders == [tmp_path / 'out' / CLOUDS.name, tmp_path / 'out' / 'other']
+    table = json.loads((tmp_path / 'out' / 'shapes.json').read_text())
+    assert [row['depth_m'] for row in table['trials']] == [0.010, 0.010]
+    printed = capsys.readouterr().out
+    assert printed.count('2.150') == printed.count('2.940') == printed.count('7.060') == 2
+    assert main([*arguments[:4], 'a/other', *TOOL, '--out', str(tmp_path / 'out')]) == 2
+    assert "two bags are called 'other'" in capsys.readouterr().err
+
+
 def test_a_parameter_that_is_not_known_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -59,9 +59,9 @@ _WELL_SEEN: Final = 0.8
 _WELL_CALIBRATED: Final = 0.02
 """From this share of force or depth on the body's own error is worth a warning."""
 _TOP_VIEW_NOTE: Final = (
-    "the tool's axis was taken where the mass centre of the object's top view is, since the tool "
-    'itself is not seen in the hold: a view from one side shifts it by some millimetres, so give '
-    '--contact'
+    "the tool's axis was taken where the mass centre of the object's top view is, since no circle "
+    "of the tool's radius is seen above the object in the hold: a view from one side shifts it by "
+    'some millimetres, so check --tool-radius or give --contact'
 )
 
 

@@ -59,8 +59,8 @@ def test_the_noise_of_the_mean_has_its_direction(observed: Observation) -> None:
     assert along(0.0, math.sqrt(0.5), math.sqrt(0.5)) < 0.2 * expected
 
 
-@pytest.mark.parametrize('yaw', [0.0, 0.35])
-def test_the_axis_is_that_of_the_tool_and_x_the_longer_side(record: Record, yaw: float) -> None:
+def test_the_axis_is_that_of_the_tool_and_x_the_longer_side(record: Record) -> None:
+    yaw = 0.35
     found = observe(record(yaw=yaw), TOOL, PHASES, SETTINGS)
     assert found.contact_source == 'tool'
     np.testing.assert_allclose(found.shift[:2], 0.0, atol=2e-4)
