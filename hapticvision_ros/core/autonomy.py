@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 type Progress = Callable[[str], None]
 """Told what is being done, in a few words."""
-type Purpose = Literal['separate', 'sharpen', 'repeat', 'explore']
+type Purpose = Literal['separate', 'sharpen', 'repeat', 'explore', 'test']
 
 LEAST_SEPARATION: Final = 1.0
 """A push that is expected to part two effects by less helps nobody [standard deviations]."""
@@ -46,10 +46,8 @@ LEAST_SHARPENING: Final = 1.05
 """A push that is expected to make an error smaller by less than this factor helps nobody."""
 PATIENCE: Final = 3
 """Pushes in a row that may be made for the same question."""
-FORCE_SHARE: Final = 0.8
-"""Share of the arm's force limit that a push is chosen to stay within."""
 SPREAD: Final = 3.0
-"""Factor by which speed and hold of a chosen push may be beyond those of the grid."""
+"""Factor by which a chosen push may be slower, and its hold longer, than those of the grid."""
 DIGITS: Final = 3
 """Of speed, depth and hold of a push."""
 
@@ -132,9 +130,10 @@ class Push:
 
     Parameters
     ----------
-    purpose : {'separate', 'sharpen', 'repeat', 'explore'}
+    purpose : {'separate', 'sharpen', 'repeat', 'explore', 'test'}
         Whether it tells two effects apart, makes a parameter's error smaller, repeats one that
-        was made, or differs from them in the hope that it shows what no effect explains.
+        was made, or differs from them: in the hope that it shows what no effect explains, or to
+        test an answer.
     push_speed, depth, hold_time : float
         The push [m/s, m, s].
     about : tuple of str
@@ -369,24 +368,24 @@ def _wanted(found: Findings, spent: Spent) -> Push | None:
     if _scatter_is_open(found):
         return found.repeat
     if found.push is not None and found.push.purpose == 'sharpen':
+        purpose: Purpose = 'explore' if found.has_rest else 'test'
+        doubt = _doubt(found, spent)
         if found.has_rest:
             doubt = 'something is left that no known effect explains'
-        else:
-            doubt = _doubt(found, spent)
-        if not doubt:
-            return found.push
-        reason = f'{doubt}, and this push differs most'
-        return replace(found.push, purpose='explore', about=(), reason=reason)
+        if doubt:
+            about = () if found.has_rest else found.effects
+            reason = f'{doubt}, and this push differs most'
+            return replace(found.push, purpose=purpose, about=about, reason=reason)
     return found.push
 
 
 def _enough(found: Findings, budget: Budget, spent: Spent) -> Decision | None:
     """Return the decision to stop because nothing is open, or nothing can be closed."""
     wanted = _wanted(found, spent)
-    if wanted is not None and wanted.purpose in ('separate', 'explore'):
+    if wanted is not None and wanted.purpose in ('separate', 'explore', 'test'):
         last = [(each.purpose, set(each.about)) for each in spent.pushes[-PATIENCE:]]
         if last == [(wanted.purpose, set(wanted.about))] * PATIENCE:
-            return Decision(None, Ending.NOTHING_HELPS, _in_vain(found, spent, wanted))
+            return Decision(None, Ending.NOTHING_HELPS, _in_vain(found, wanted))
     if found.has_rest or found.confounded or _doubt(found, spent):
         return None
     name, error = found.least_known
@@ -418,13 +417,13 @@ def _outlived(found: Findings, before: Findings | None) -> bool:
     return set(before.effects) == set(found.effects)
 
 
-def _in_vain(found: Findings, spent: Spent, wanted: Push) -> str:
+def _in_vain(found: Findings, wanted: Push) -> str:
     """Return that pushes have not helped."""
     if wanted.purpose == 'separate':
         return f'{PATIENCE} pushes that were to tell {" and ".join(wanted.about)} apart have not'
-    if found.has_rest:
+    if wanted.purpose == 'explore':
         return f'{_left(found)}, and {PATIENCE} pushes that differ have not shown what it is'
-    return f'{_doubt(found, spent)}: each of {PATIENCE} has led to another'
+    return f'the answer could not be tested: {PATIENCE} pushes for it have failed'
 
 
 def _left(found: Findings) -> str:
@@ -480,14 +479,11 @@ class Cell:
     usual : PushGoal
         A push of the grid: what all pushes have in common.
     slowest, fastest : float
-        The grid's speeds [m/s]: no push is chosen beyond `SPREAD` times these.
+        The grid's speeds [m/s].
     deepest : float
-        The grid's largest depth [m]: no deeper push is chosen.
+        The grid's largest depth [m].
     longest_hold : float
-        The grid's hold [s]: none is chosen beyond `SPREAD` times this.
-    cautious : bool
-        Whether a chosen push has failed, so that none is chosen that is faster than those that
-        have not.
+        The grid's hold [s].
 
     """
 
@@ -497,7 +493,6 @@ class Cell:
     fastest: float
     deepest: float
     longest_hold: float
-    cautious: bool = False
 
     def document(self) -> dict[str, Any]:
         """Return plain numbers, as `from_document` takes them."""
@@ -506,62 +501,31 @@ class Cell:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> 'Cell':
         """Return what came as JSON from another process."""
+        numbers = ('slowest', 'fastest', 'deepest', 'longest_hold')
         return cls(
             limits=PushLimits(**document['limits']),
             usual=PushGoal(**document['usual']),
-            **{
-                name: float(document[name])
-                for name in ('slowest', 'fastest', 'deepest', 'longest_hold')
-            },
-            cautious=bool(document['cautious']),
+            **{name: float(document[name]) for name in numbers},
         )
 
+    def reach(self) -> 'Reach':
+        """
+        Return the pushes that may be chosen.
 
-def reach(trials: 'Sequence[TrialAnalysis]', cell: Cell) -> 'Reach':
-    """
-    Return the pushes that may be chosen: near those of the grid, and within the arm's limits.
+        None is deeper or faster than the grid, so that a viscous or elastic body answers none with
+        more force, and what a fast push makes of late readings is no more than in the grid.
+        Slower ones and longer holds are open as far as `SPREAD` and the arm's limits go.
+        """
+        from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
 
-    No push is deeper than the grid. At the same depth the force of a viscous body grows at most
-    as the speed: the fastest push is that at which it would reach `FORCE_SHARE` of the limit. A
-    body that does otherwise is left to the arm, which stops at its limit.
-
-    Parameters
-    ----------
-    trials : sequence of TrialAnalysis
-        What was measured; one at least.
-    cell : Cell
-        What is allowed.
-
-    Returns
-    -------
-    diagnosis.design.PushLimits
-        The pushes.
-
-    """
-    from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
-
-    limits = cell.limits
-    deepest = min(cell.deepest, limits.max_depth)
-    made = [
-        (p.push_speed, p.depth, _peak(each))
-        for each in trials
-        if (p := each.segmentation).push_speed and p.depth
-    ]
-    # What was pushed without an abort may be pushed again.
-    fastest = max((speed for speed, _, _ in made), default=cell.fastest)
-    if not cell.cautious:
-        bearable = [
-            speed * FORCE_SHARE * limits.max_force / peak
-            for speed, depth, peak in made
-            if depth > 0.95 * deepest and peak > 0.0
-        ]
-        fastest = max(fastest, min(SPREAD * cell.fastest, max(bearable, default=0.0)))
-    fastest = min(fastest, limits.max_speed)
-    slowest = min(cell.slowest / SPREAD, fastest)
-    shortest = replace(cell.usual, push_speed=slowest, depth=deepest, hold_time=0.0)
-    spare = limits.max_duration - expected_duration(shortest, limits.highest_height)
-    hold = min(SPREAD * cell.longest_hold, spare) if spare > 0.0 else cell.longest_hold
-    return Reach(slowest=slowest, fastest=fastest, deepest=deepest, longest_hold=hold)
+        fastest = min(self.fastest, self.limits.max_speed)
+        slowest = min(self.slowest, fastest) / SPREAD
+        deepest = min(self.deepest, self.limits.max_depth)
+        shortest = replace(self.usual, push_speed=slowest, depth=deepest, hold_time=0.0)
+        air = self.limits.highest_height
+        spare = self.limits.max_duration - expected_duration(shortest, air)
+        hold = min(SPREAD * self.longest_hold, max(spare, self.longest_hold))
+        return Reach(slowest=slowest, fastest=fastest, deepest=deepest, longest_hold=hold)
 
 
 def look(
@@ -605,8 +569,7 @@ def look(
             warnings.append(f'{trial.name} is left out: {str(error).rstrip(".")}')
     if not analysed:
         raise UsageError('; '.join(warnings) or 'there is no trial to analyse.')
-    allowed = reach(analysed, cell)
-    found = diagnose(analysed, progress=progress, workers=workers, limits=allowed)
+    found = diagnose(analysed, progress=progress, workers=workers, limits=cell.reach())
     best = found.next_trial
     push = None
     if best is not None:

@@ -581,13 +581,6 @@ class Experiment:
         """Return the trials that are of use."""
         return [item for item in self.outcomes if item.outcome is Outcome.COMPLETE]
 
-    @property
-    def chosen_failed(self) -> bool:
-        """Whether a push that the analysis has asked for came to nothing."""
-        return any(
-            item.trial.reason and item.outcome is not Outcome.COMPLETE for item in self.outcomes
-        )
-
     def found(self, findings: Findings, now: float) -> None:
         """
         Take note of what the complete trials tell, and go on to the next push or to the end.

@@ -22,7 +22,7 @@ something fails is told in `hapticvision_ros.core.experiment.Experiment`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 import json
 from pathlib import Path
 import threading
@@ -758,8 +758,7 @@ class ExperimentOrchestrator(CellNode):
         assert self._cell is not None
         bags = [Path(item.bag) for item in experiment.complete if item.bag is not None]
         experiment.waiting_for = 'the analysis of the bags so far'
-        cell = replace(self._cell, cautious=experiment.chosen_failed)
-        self._analysis = CampaignAnalysis(bags, cell)
+        self._analysis = CampaignAnalysis(bags, self._cell)
         self.get_logger().info(f'analysing {len(bags)} trials')
 
     def _on_analysis(self, experiment: Experiment, now: float) -> None:

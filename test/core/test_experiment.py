@@ -367,7 +367,6 @@ def test_the_budget_counts_from_the_end_of_the_grid_and_failed_pushes_too():
         experiment.tick(2.0)
         assert experiment.trial.number == trial
         push(experiment, 'aborted' if trial == 2 else 'done', now=3.0)
-        assert experiment.chosen_failed
     experiment.found(OPEN, 4.0)
     assert experiment.decision is not None
     assert experiment.decision.ending is Ending.BUDGET
