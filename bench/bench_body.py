@@ -22,6 +22,7 @@ the steps. CPU time is that of the process.
 """
 
 import argparse
+from dataclasses import replace
 import resource
 import time
 
@@ -31,6 +32,7 @@ from hapticvision_ros.core.body.links import link_law, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, simulate
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.sim.soft_body import SoftBody, SoftMaterial
 import numpy as np
 
 SIZE = (0.085, 0.060, 0.040)
@@ -171,10 +173,44 @@ def match(pitch: float, depth: float, rounds: int) -> None:
             )
 
 
+def explicit(pitch: float, depth: float, steps: list[float]) -> None:
+    """Print time and error of the explicit body with more and more mass, volumes left alone."""
+    body = box(SIZE, pitch)
+    size = tuple(np.ptp(body.points, axis=0))
+    around = Surroundings(volume_ratio=0.0)
+    links = law(body, Model(('yield_force',)), depth, around)
+    path = motion(depth)
+    fine = Accuracy(position=2e-7, first_step=0.01, longest_step=0.5, growth=1.2, balance=1e-5)
+    exact = simulate(body, links, TOOL, path, around, accuracy=fine)
+    print(f'{len(body.points)} nodes')
+    print('step s | CPU s | force max, rms % | height max, rms mm')
+    run, _, cpu = _timed(body, links, TOOL, path, around)
+    rows = [('implicit', cpu, run)]
+    material = SoftMaterial(
+        links.stiffness, links.bounce_viscosity, links.flow_viscosity, links.yield_force
+    )
+    for step in steps:
+        soft = SoftBody((size[0], size[1], size[2]), pitch, material, TOOL.radius, step)
+        start = time.process_time()
+        force, sunk = [], [0.0]
+        for i in range(run.force.size):
+            force.append(soft.advance(run.t[i + 1] - run.t[i], run.tool[i], run.tool[i + 1]))
+            sunk.append(soft.sunk)
+        cpu = time.process_time() - start
+        rows.append((f'{step:g}', cpu, replace(run, force=np.array(force), height=np.array(sunk))))
+    for name, cpu, one in rows:
+        f_max, f_rms, h_max, h_rms = errors(one, exact)
+        print(
+            f'{name} | {cpu:.2f} | {100 * f_max:.2f}, {100 * f_rms:.3f} | {1e3 * h_max:.4f}, '
+            f'{1e3 * h_rms:.4f}',
+            flush=True,
+        )
+
+
 def main() -> int:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('what', choices=('accuracy', 'growth', 'match'))
+    parser.add_argument('what', choices=('accuracy', 'growth', 'match', 'explicit'))
     parser.add_argument('--pitch-mm', type=float, nargs='+', default=[5.0])
     parser.add_argument('--depth-mm', type=float, default=10.0)
     parser.add_argument('--rounds', type=int, default=6)
@@ -187,6 +223,8 @@ def main() -> int:
         accuracy(pitches[0], depth, arguments.small, arguments.skip)
     elif arguments.what == 'growth':
         growth(pitches, depth)
+    elif arguments.what == 'explicit':
+        explicit(pitches[0], depth, [4e-3, 1e-3, 2.5e-4])
     else:
         match(pitches[0], depth, arguments.rounds)
     return 0

@@ -37,8 +37,6 @@ import numpy as np
 _MODULUS: Final = 1.875
 """Young's modulus of the lattice times pitch over link stiffness."""
 _ITERATIONS: Final = 20
-_CLOSE: Final = 1e-3
-"""The same at most, over the pitch."""
 _TURNED: Final = 0.02
 """Change of the friction in the last iteration, over the largest."""
 _POOR: Final = 0.3
@@ -47,6 +45,8 @@ _NEARLY: Final = 5.0
 """What may be out of balance where contact is judged, over what may be at the end."""
 _SETTLED: Final = 0.1
 """Change of the positions in the last iteration, over the error that a step may make."""
+_CLOSE: Final = 1e-3
+"""The same at most, over the pitch."""
 _SHARE: Final = 1.0 / 6.0
 """Error of a step over the difference between it and the line through the step before."""
 _SHORTEST: Final = 1.0 / 64.0
