@@ -71,7 +71,7 @@ def test_the_axis_is_that_of_the_tool_and_x_the_longer_side(record: Record) -> N
 def test_the_axis_of_a_tool_of_many_returns_is_found(record: Record) -> None:
     # So many that a circle that is not there has enough of them beside it.
     few = replace(SETTINGS, average=1)
-    found = observe(record(columns=640, step=2.0), TOOL, PHASES, few)
+    found = observe(record(columns=640, step=4.0), TOOL, PHASES, few)
     assert found.contact_source == 'tool'
     np.testing.assert_allclose(found.shift[:2], 0.0, atol=2e-4)
 
