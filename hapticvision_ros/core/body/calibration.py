@@ -103,7 +103,8 @@ def calibrate(
 
     Each round simulates the trial, tells from what came out how far the model's parameters have
     moved (one Gauss-Newton step of the fit), and takes the numbers of the links back by that; how
-    these follow each other is learnt on the way (Broyden). Push, hold and recovery weigh alike.
+    these follow each other is learnt on the way (Broyden). A round that does worse than the best
+    so far is taken back by half. Push, hold and recovery weigh alike.
 
     Parameters
     ----------
@@ -142,28 +143,63 @@ def calibrate(
     law = link_law(wanted, measure, reference_depth=depth)
     given = {name for name, value in wanted.items() if value > 0.0}
     used = np.array([name in given for name in carried.names])
-    told_of = np.eye(int(used.sum()))
-    before: tuple[FloatArray, FloatArray] | None = None
-    for done in range(1, rounds + 1):
-        run = simulate(lattice, law, tool, motion, surroundings, at=at, accuracy=accuracy)
+    names = [name for name in carried.names if name in given]
+    follows = np.eye(len(names))
+    change = np.zeros(len(names))
+    best: _Round | None = None
+    done = 0
+    while done < rounds:
+        done += 1
+        try:
+            run = simulate(lattice, law, tool, motion, surroundings, at=at, accuracy=accuracy)
+        except InputError:
+            if best is None:
+                raise
+            change *= 0.5
+            law = _changed(best.law, names, change)
+            continue
         trial = _Driven(run.t, top - run.tool, run.t, depth)
-        off = _off(carried, target, used, trial, run, motion.corners)
-        if done == rounds or np.abs(off).max() < _ALIKE:
-            break
-        if before is not None:
+        off, cost = _off(carried, target, used, trial, run, motion.corners)
+        if best is not None:
             # Broyden's update of how the fit follows the links; alike is where it starts.
-            step = before[1]
-            told_of += np.outer(off - before[0] - told_of @ step, step) / (step @ step)
-        change = np.clip(-np.linalg.solve(told_of, off), -_FARTHEST, _FARTHEST)
-        before = off, change
-        names = [name for name in carried.names if name in given]
-        law = scaled(law, dict(zip(names, np.exp(change), strict=True)))
+            missed = off - best.off - follows @ change
+            follows += np.outer(missed, change) / max(float(change @ change), 1e-300)
+        share = 1.0
+        if best is None or cost < best.cost:
+            best = _Round(law, run, trial, off, cost)
+        else:
+            share = 0.5
+        if np.abs(best.off).max(initial=0.0) < _ALIKE:
+            break
+        wish = -np.linalg.lstsq(follows, best.off, rcond=1e-3)[0]
+        change = share * np.clip(wish, -_FARTHEST, _FARTHEST)
+        law = _changed(best.law, names, change)
+    if best is None:
+        raise InputError('a calibration has at least one round: ask for one or more')
+    law, run, trial = best.law, best.run, best.trial
     told = carried.predict(trial, carried.theta(target), directions=False)
     force = float(np.abs(run.force - told.force).max() / np.abs(told.force).max())
     height = float(np.abs(run.height - told.height).max() / np.abs(told.height).max())
     fitted = _fit(carried, target, trial, run, motion.corners)
     recovered = {name: float(v) for name, v in zip(carried.names, fitted, strict=True)}
     return Calibration(law, run, recovered, force, height, done)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Round:
+    """A round of the calibration: how far the fit to its run is off, and what separates them."""
+
+    law: LinkLaw
+    run: BodyRun
+    trial: '_Driven'
+    off: FloatArray
+    cost: float
+
+
+def _changed(law: LinkLaw, names: Sequence[str], change: FloatArray) -> LinkLaw:
+    """Return a law with the logarithms of its numbers changed."""
+    factors = (float(factor) for factor in np.exp(change))
+    return scaled(law, dict(zip(names, factors, strict=True)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,12 +254,13 @@ def _off(
     trial: _Driven,
     run: BodyRun,
     corners: Sequence[float],
-) -> FloatArray:
-    """Return by how much a fit to a run would change the logarithms of the used parameters."""
+) -> tuple[FloatArray, float]:
+    """Return how a fit to a run would change the logarithms of the used parameters, and why."""
     misses = _Misses(model, trial, run, corners)
     theta = model.theta(target)
     slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
-    return np.linalg.lstsq(slopes[:, used], -misses.values(theta), rcond=1e-6)[0]
+    missed = misses.values(theta)
+    return np.linalg.lstsq(slopes[:, used], -missed, rcond=1e-6)[0], float(missed @ missed)
 
 
 def _fit(
