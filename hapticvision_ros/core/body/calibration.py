@@ -159,7 +159,8 @@ def calibrate(
             law = _changed(best.law, names, change)
             continue
         trial = _Driven(run.t, top - run.tool, run.t, depth)
-        off, cost = _off(carried, target, used, trial, run, motion.corners)
+        off = _off(carried, target, used, trial, run, motion.corners)
+        cost = float(np.abs(off).max(initial=0.0))
         if best is not None:
             # Broyden's update of how the fit follows the links; alike is where it starts.
             missed = off - best.off - follows @ change
@@ -169,7 +170,7 @@ def calibrate(
             best = _Round(law, run, trial, off, cost)
         else:
             share = 0.5
-        if np.abs(best.off).max(initial=0.0) < _ALIKE:
+        if best.cost < _ALIKE:
             break
         wish = -np.linalg.lstsq(follows, best.off, rcond=1e-3)[0]
         change = share * np.clip(wish, -_FARTHEST, _FARTHEST)
@@ -187,7 +188,7 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """A round of the calibration: how far the fit to its run is off, and what separates them."""
+    """A round of the calibration: how far the fit to its run is off, and the most of it."""
 
     law: LinkLaw
     run: BodyRun
@@ -254,13 +255,12 @@ def _off(
     trial: _Driven,
     run: BodyRun,
     corners: Sequence[float],
-) -> tuple[FloatArray, float]:
-    """Return how a fit to a run would change the logarithms of the used parameters, and why."""
+) -> FloatArray:
+    """Return by how much a fit to a run would change the logarithms of the used parameters."""
     misses = _Misses(model, trial, run, corners)
     theta = model.theta(target)
     slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
-    missed = misses.values(theta)
-    return np.linalg.lstsq(slopes[:, used], -missed, rcond=1e-6)[0], float(missed @ missed)
+    return np.linalg.lstsq(slopes[:, used], -misses.values(theta), rcond=1e-6)[0]
 
 
 def _fit(
