@@ -58,6 +58,8 @@ import numpy as np
 
 _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 """Strengths, over the first guess, that a search starts from."""
+_BEST: Final = 2
+"""Starts that are followed."""
 _LOOKS: Final = 6
 _STEPS: Final = 12
 _ROUNDS: Final = 6
@@ -165,6 +167,9 @@ class Smooth:
     height: tuple[FloatArray, ...]
 
 
+type _Look = tuple[Problem, list[tuple[float, FloatArray]]]
+
+
 class Workbench:
     """
     One campaign, to which models are refitted.
@@ -189,6 +194,9 @@ class Workbench:
         self.trials = tuple(trials)
         self.scatter = scatter
         self.memory = longest_memory(trials) if memory is None else memory
+        self._near: Refit | None = None
+        self._scale: Scale | None = None
+        self._looks: dict[tuple[str, ...], _Look] = {}
         self.samples = sum(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -226,7 +234,7 @@ class Workbench:
         if not promised:
             return None
         ends = []
-        for _, state in promised[:2]:
+        for _, state in promised[:_BEST]:
             with contextlib.suppress(ValueError):
                 ends.append(
                     minimise(
@@ -260,11 +268,17 @@ class Workbench:
             the model cannot be evaluated.
 
         """
-        _, promised = self._look(model, near)
+        problem, promised = self._look(model, near)
+        self._looks[model.effects] = problem, promised[:_BEST]
         return near.cost - promised[0][0] if promised else -math.inf
 
-    def _look(self, model: Model, near: Refit) -> tuple[Problem, list[tuple[float, FloatArray]]]:
+    def _look(self, model: Model, near: Refit) -> '_Look':
         """Return the problem of a model, and starts with the squares they promise, best first."""
+        self._stand_at(near)
+        # What has promised something is refitted from the very same starts.
+        known = self._looks.pop(model.effects, None)
+        if known is not None:
+            return known
         problem = Problem(model, self.trials, self.scatter)
         problem.set_noise(near.force_noise, near.height_noise, near.jumps)
         begin = carried(near.problem, near.state, problem)
@@ -279,6 +293,11 @@ class Workbench:
                 promised.append((_promise(residual, jacobian), state))
         promised.sort(key=lambda each: each[0])
         return problem, promised
+
+    def _stand_at(self, near: Refit) -> None:
+        """Forget what is known beside another refit."""
+        if self._near is not near:
+            self._near, self._scale, self._looks = near, None, {}
 
     def residual(
         self, problem: Problem, state: FloatArray, index: int
@@ -468,7 +487,11 @@ class Workbench:
 
     def scale(self, near: Refit, K1: float, C1: float, C2: float) -> Scale:
         """Return what the campaign looks like beside a refit."""
-        return scale_of(near.problem, near.state, K1, C1, C2)
+        self._stand_at(near)
+        scale = self._scale
+        if scale is None:
+            scale = self._scale = scale_of(near.problem, near.state, K1, C1, C2)
+        return scale
 
     def _settled(
         self,

@@ -66,6 +66,8 @@ _LINE: Final = 1e-4
 """Chance below which a line in the residual's spectrum is looked at with every sample."""
 _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
 """Scatter of the trials that is tried where no push was repeated."""
+_WORSE: Final = 2
+"""So many larger ones that are all less likely than a smaller one end the search."""
 _TOO_MUCH: Final = 0.05
 """Scatter without repeats from which on the trials differ by more than specimens of a kind do."""
 _FORM: Final = 0.15
@@ -194,7 +196,7 @@ class _Search:
 
     def run(self) -> _Outcome:
         """Return what the trials tell."""
-        plain = Workbench(self.before.problem.trials, None)
+        plain = Workbench(self.before.problem.trials, None, self.before.noise.memory)
         base = plain.base(self.before)
         names, hidden = self._testable(plain, base)
         scatter = self._repeats(base)
@@ -309,10 +311,17 @@ class _Search:
         if len(bench.trials) < 2:
             return None
         best, size = chosen.deviance, None
+        least, worse = best, 0
         for each in _SCATTERS:
             refit = bench.scattering(np.full(3, each)).refit(chosen.model, chosen)
-            if refit is not None and refit.deviance < best - LEAD:
+            if refit is None:
+                continue
+            if refit.deviance < best - LEAD:
                 best, size = refit.deviance, each
+            worse = 0 if refit.deviance < least else worse + 1
+            least = min(least, refit.deviance)
+            if worse == _WORSE:
+                break
         if size is None:
             return None
         self.warnings.append(

@@ -158,6 +158,8 @@ class CampaignNoise:
         How well the moments are known at which the force jumps or falls fast, in samples.
     force_before_contact, height_before_contact : float or None
         Standard deviation of a sample before contact, where the model cannot be wrong.
+    memory : Memory
+        How long it may remember.
 
     """
 
@@ -166,6 +168,7 @@ class CampaignNoise:
     blur: float
     force_before_contact: float | None
     height_before_contact: float | None
+    memory: 'Memory'
 
 
 @dataclass(frozen=True, slots=True)
@@ -851,6 +854,7 @@ class _End(NamedTuple):
     force_noise: SensorNoise
     height_noise: SensorNoise
     blur: float
+    memory: 'Memory'
 
 
 def _ends(
@@ -869,7 +873,7 @@ def _ends(
         problem = Problem(model, usable)
         states = [carried(near.problem, near.state, problem)]
     blur = 1.0 if near is None else near.noise.blur
-    limit = longest_memory(usable)
+    limit = _known_memory(usable, near) or longest_memory(usable)
     force_noise = replace(force_noise, wander=limit.wander, wander_time=limit.wander_time)
     ends = list[_End]()
     for state in states:
@@ -880,6 +884,13 @@ def _ends(
             _weighted(own, begin, force_noise, height_noise, blur, limit, fresh=near is None)
         )
     return ends
+
+
+def _known_memory(trials: Sequence[FitTrial], near: Fit | None) -> 'Memory | None':
+    """Return the memory of the noise from a fit of the very same trials."""
+    if near is None or [t.name for t in near.problem.trials] != [t.name for t in trials]:
+        return None
+    return near.noise.memory
 
 
 def _weighted(
@@ -919,7 +930,7 @@ def _weighted(
             continue
         if abs(math.log(force_noise.std / before.std)) < _SETTLED and turn > 0 and not moved:
             break
-    return _End(problem, solution, force_noise, height_noise, blur)
+    return _End(problem, solution, force_noise, height_noise, blur, limit)
 
 
 def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
@@ -1375,7 +1386,7 @@ def _sudden(residual: FloatArray, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]) -> Fit:
     """Return the fit with its errors and warnings."""
-    problem, solution, force_noise, height_noise, blur = end
+    problem, solution, force_noise, height_noise, blur, _ = end
     model, p, state = problem.model, problem.p, solution.theta
     covariance = solution.covariance()
     warnings = list(known)
@@ -1419,6 +1430,7 @@ def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]
         blur,
         float(np.median(before)) if before else None,
         float(np.median(height_before)) if height_before else None,
+        end.memory,
     )
     result = Fit(
         model=model,
