@@ -27,6 +27,7 @@ from pathlib import Path
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 from hapticvision_ros.bag.contract import (
     CONTACT_TIME,
@@ -41,8 +42,8 @@ from hapticvision_ros.cli.processes import node, Supervisor
 from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import OnlineSegmenter
-from hapticvision_ros.nodes.bag_player import BagPlayer, result_lines
-from hapticvision_ros.nodes.conversions import values_from_status
+from hapticvision_ros.nodes.bag_player import BagPlayer, LARGEST_TICK_NS, result_lines
+from hapticvision_ros.nodes.conversions import ns_from_stamp, values_from_status
 from hapticvision_ros.nodes.qos import create_subscription
 from hapticvision_ros.nodes.rheology_fitter import result_values, SYMBOLS, TRIAL, whole_values
 import numpy as np
@@ -232,6 +233,21 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
                 lambda kind=kind, first=first, at=expected_time: heard[kind][first:][-1:] == [at],
                 f'the {kind} of the segmenter at {t:g} s',
             )
+
+
+def test_a_player_that_catches_up_ticks_between_messages_that_are_far_apart(nodes, monkeypatch):
+    playback = Playback(next(path for path in TRIALS if path.name == 'ramp_0.1s'))
+    # Far behind its schedule from the first message on.
+    player = BagPlayer(playback, 1e9)
+    ticks, behind = [], []
+    monkeypatch.setattr(player, '_clock', SimpleNamespace(publish=ticks.append))
+    deaf = SimpleNamespace(publish=lambda data: behind.append(ticks[-1].clock))
+    monkeypatch.setattr(player, '_publishers', dict.fromkeys(player._publishers, deaf))
+    player.play()
+    player.close()
+    sent = [message.sent_ns for message in playback]
+    told = [ns_from_stamp(stamp) for stamp in behind]
+    assert max(np.subtract(sent, told)) < LARGEST_TICK_NS
 
 
 def test_the_result_is_printed_with_a_reason_for_all_that_is_unknown(nodes):
