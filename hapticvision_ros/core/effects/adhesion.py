@@ -39,7 +39,7 @@ EFFECT = Effect(
             'pull-off force',
             0.0,
             math.inf,
-            lambda scale: 0.02 * scale.force,
+            lambda scale: max(scale.pull, 0.02 * scale.force),
         ),
     ),
     validity='A pull-off force that depends neither on the speed nor on the time in contact.',

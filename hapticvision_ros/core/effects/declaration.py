@@ -96,6 +96,8 @@ class Scale:
         From the start of the first trial to that of the last [s].
     disturbance_amplitude, disturbance_frequency : float
         The strongest line in the spectrum of the force's noise [N, Hz].
+    pull : float
+        Largest force that holds the tool back on withdrawal, noise included [N].
 
     """
 
@@ -110,6 +112,7 @@ class Scale:
     campaign_time: float = 0.0
     disturbance_amplitude: float = 0.0
     disturbance_frequency: float = 50.0
+    pull: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1275,7 +1275,21 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         campaign_time=max(trial.campaign_time for trial in trials),
         disturbance_amplitude=line.amplitude,
         disturbance_frequency=line.frequency,
+        pull=_pull(problem, state),
     )
+
+
+def _pull(problem: Problem, state: FloatArray) -> float:
+    """Return the largest force that holds the tool back in the usual withdrawal [N]."""
+    pulls = []
+    for index, trial in enumerate(problem.trials):
+        if trial.t_release is None:
+            continue
+        seen = (trial.t[1:] > trial.t_release) & (trial.force_count > 0.0)
+        if seen.any():
+            _, zero, _ = problem.own(state, index)
+            pulls.append(zero - float(trial.force[seen].min()))
+    return max(float(np.median(pulls)), 0.0) if pulls else 0.0
 
 
 def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:
