@@ -20,7 +20,7 @@ from contextlib import suppress
 import os
 from pathlib import Path
 import tempfile
-from typing import Final, TYPE_CHECKING
+from typing import Final
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import CampaignAnalysis
@@ -35,9 +35,6 @@ from hapticvision_ros.report.sections import (
     summary,
     trials,
 )
-
-if TYPE_CHECKING:
-    from jinja2 import FileSystemBytecodeCache
 
 type Fill = Callable[[CampaignAnalysis, UnitSystem], Mapping[str, object]]
 
@@ -73,16 +70,10 @@ def render(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> str:
         A whole page, with its style and its pictures inside.
 
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    # The import of jinja2 takes a while, and most commands make no report.
+    from hapticvision_ros.report.templating import template_environment
 
-    environment = Environment(
-        loader=PackageLoader('hapticvision_ros.report'),
-        bytecode_cache=_compiled_templates(),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment()
     sections = [
         environment.get_template(f'{name}.html.j2').render(fill(campaign, units))
         for name, fill in SECTIONS
@@ -90,14 +81,6 @@ def render(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> str:
     style = environment.get_template('style.css').render()
     page = environment.get_template('page.html.j2')
     return page.render(title=TITLE, style=style, sections=sections) + '\n'
-
-
-def _compiled_templates() -> 'FileSystemBytecodeCache | None':
-    """Return where compiled templates are kept beside those of Python, if that can be written."""
-    from jinja2 import FileSystemBytecodeCache
-
-    folder = Path(__file__).with_name('__pycache__')
-    return FileSystemBytecodeCache(str(folder)) if os.access(folder, os.W_OK) else None
 
 
 def write_report(path: Path, campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS) -> None:

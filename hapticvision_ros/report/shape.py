@@ -262,15 +262,9 @@ def render_shape(
         An HTML page that needs nothing else.
 
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from hapticvision_ros.report.templating import template_environment
 
-    environment = Environment(
-        loader=PackageLoader('hapticvision_ros.report'),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment()
     released = study.phases.t_release or 0.0
     section = environment.get_template('shape.html.j2').render(
         result=result,

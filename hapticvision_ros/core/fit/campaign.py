@@ -887,7 +887,7 @@ def _ends(
 
 
 def _known_memory(trials: Sequence[FitTrial], near: Fit | None) -> 'Memory | None':
-    """Return the memory of the noise from a fit of the very same trials."""
+    """Return the memory of the noise from a fit of trials of the same names."""
     if near is None or [t.name for t in near.problem.trials] != [t.name for t in trials]:
         return None
     return near.noise.memory
