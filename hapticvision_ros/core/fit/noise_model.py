@@ -141,6 +141,16 @@ def _of_length(h, n, tau, of):  # type: ignore[no-untyped-def]
 
 
 @kernel()
+def _largest(count):  # type: ignore[no-untyped-def]
+    """Return the largest number of samples of a block."""
+    # In a loop: what numba makes of count.max() loads scipy.linalg with every process.
+    largest = 0.0
+    for i in range(count.size):
+        largest = max(largest, count[i])
+    return int(largest)
+
+
+@kernel()
 def _filter(  # type: ignore[no-untyped-def]
     duration, count, extra, white, slow, tau, seen, passed, gain, weight
 ):
@@ -151,7 +161,7 @@ def _filter(  # type: ignore[no-untyped-def]
     log_determinant = 0.0
     determinant = 1.0
     # What a block's length makes of it, worked out once for each number of samples.
-    known = np.full((int(count.max()) + 1 if count.size else 1, 5), -1.0)
+    known = np.full((_largest(count) + 1, 5), -1.0)
     last_h = -1.0
     last_n = -1.0
     known_extra = -1.0
@@ -223,7 +233,7 @@ def _filter_two(  # type: ignore[no-untyped-def]
     p01 = 0.0
     p11 = v1
     log_determinant = 0.0
-    known = np.full((2, int(count.max()) + 1 if count.size else 1, 5), -1.0)
+    known = np.full((2, _largest(count) + 1, 5), -1.0)
     for i in range(duration.size):
         h = duration[i]
         n = count[i]
