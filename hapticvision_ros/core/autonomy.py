@@ -50,6 +50,8 @@ SPREAD: Final = 3.0
 """Factor by which a chosen push may be slower, and its hold longer, than those of the grid."""
 DIGITS: Final = 3
 """Of speed, depth and hold of a push."""
+_UNROUNDED: Final = 1.0 + 10.0 ** (1 - DIGITS)
+"""Over what it becomes in so many digits, at most."""
 
 
 class Ending(Enum):
@@ -519,12 +521,22 @@ class Cell:
         from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
 
         fastest = min(self.fastest, self.limits.max_speed)
-        slowest = min(self.slowest, fastest) / SPREAD
+        slowest = min(self.slowest, fastest)
         deepest = min(self.deepest, self.limits.max_depth)
-        shortest = replace(self.usual, push_speed=slowest, depth=deepest, hold_time=0.0)
-        air = self.limits.highest_height
-        spare = self.limits.max_duration - expected_duration(shortest, air)
-        hold = min(SPREAD * self.longest_hold, max(spare, self.longest_hold))
+
+        def spare(speed: float, hold: float) -> float:
+            """Return what the deepest push leaves of the time that a push may take [s]."""
+            push = replace(self.usual, push_speed=speed, depth=deepest, hold_time=hold)
+            return self.limits.max_duration - expected_duration(push, self.limits.highest_height)
+
+        # No slower than leaves time for the grid's hold: the arm would refuse the push, which
+        # would end the experiment.
+        way = deepest + self.usual.approach_gap
+        left = max(spare(slowest, self.longest_hold), 0.0)
+        slower = max(slowest / SPREAD, _UNROUNDED * way / (way / slowest + left))
+        slowest = min(slower, slowest)
+        room = spare(slowest / _UNROUNDED, 0.0)
+        hold = min(SPREAD * self.longest_hold, max(room, self.longest_hold))
         return Reach(slowest=slowest, fastest=fastest, deepest=deepest, longest_hold=hold)
 
 
@@ -590,7 +602,7 @@ def look(
         sets=found.sets,
         parameters=MappingProxyType(
             {
-                name: Parameter(each.value, _finite(each.std), units[name])
+                name: Parameter(_finite(each.value), _finite(each.std), units[name])
                 for name, each in found.after.parameters.items()
             }
         ),

@@ -135,7 +135,7 @@ class CampaignAnalysis:
             case 'found':
                 try:
                     self.findings = Findings.from_document(json.loads(rest))
-                except (ValueError, KeyError, TypeError):
+                except (ValueError, KeyError, TypeError, AttributeError):
                     self.error = 'the analysis gave an answer that cannot be read'
 
 

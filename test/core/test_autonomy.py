@@ -34,7 +34,7 @@ from hapticvision_ros.core.autonomy import (
     Spent,
 )
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.push_control import PushGoal, PushLimits
+from hapticvision_ros.core.push_control import expected_duration, PushGoal, PushLimits
 from hapticvision_ros.core.records import Trial
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, run, Sensors
 from hapticvision_ros.sim.campaigns import Push as MadePush
@@ -275,6 +275,24 @@ def test_no_push_is_chosen_beyond_what_the_arm_may_do() -> None:
     assert cell(max_depth=0.004).reach().deepest == 0.004
     # A push takes some eighty seconds beside its hold, so that less than six are left for that.
     assert 2.0 < cell(max_duration=86.0).reach().longest_hold < 6.0
+
+
+@pytest.mark.parametrize('max_duration', [50.0, 79.0, 80.0, 81.0, 84.0, 1000.0])
+def test_each_push_that_may_be_chosen_is_one_that_the_arm_accepts(max_duration: float) -> None:
+    slow = replace(cell(max_duration=max_duration, max_depth=0.02), slowest=0.001, deepest=0.012)
+    slow = replace(slow, usual=replace(slow.usual, recover_time=20.0))
+    air = slow.limits.highest_height
+
+    def lasts(speed: float, hold: float) -> float:
+        push = replace(slow.usual, push_speed=speed, depth=slow.deepest, hold_time=hold)
+        return expected_duration(push, air)
+
+    allowed = slow.reach()
+    assert 0.001 / 3.0 * (1.0 - 1e-9) <= allowed.slowest <= 0.001
+    assert 2.0 <= allowed.longest_hold <= 6.0
+    # Also once it is written in three digits; the grid's own pushes are the arm's to accept.
+    longest = lasts(allowed.slowest / 1.01, allowed.longest_hold)
+    assert longest <= max(max_duration, 1.01 * lasts(0.001, 2.0))
 
 
 # -- on a simulated body ------------------------------------------------------------------------

@@ -28,6 +28,10 @@ import pytest
 
 BAG = Path(__file__).parents[2] / 'bags' / 'synthetic_soft_block' / 'speed_2mm_s_depth_6mm'
 
+NO_PARAMETERS = (
+    '{"status": "none", "effects": [], "sets": [], "parameters": [], "rest": [], "trials": 1}'
+)
+
 
 @pytest.fixture
 def cell() -> Cell:
@@ -80,6 +84,7 @@ def test_a_bag_that_cannot_be_read_is_told(analysis: Any, until: Any, tmp_path: 
         ('import sys; sys.exit(3)', 'ended with exit code 3 and gave no answer'),
         ('print("found {}")', 'an answer that cannot be read'),
         ('print("found [")', 'an answer that cannot be read'),
+        (f"print('found {NO_PARAMETERS}')", 'an answer that cannot be read'),
     ],
 )
 def test_a_process_that_dies_or_talks_nonsense_costs_the_answer_only(
