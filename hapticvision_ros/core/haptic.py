@@ -275,6 +275,8 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     state[_RATE], state[_RATE_BEFORE] = rate, rate_before
     state[_CONTACT] = 1.0 if contact else 0.0
     state[_MEAN] = force
+    # Within the step in which the touch ends the rule may pull by some thousandths of the peak.
+    force = max(force, -f_ad)
     if q[_GROWTH] != 0.0:
         force *= np.exp(q[_GROWTH] * 0.5 * (x_start + x))
     return force

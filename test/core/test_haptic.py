@@ -130,10 +130,13 @@ def test_reset_brings_back_the_untouched_body() -> None:
     assert [body.step(d) for d in path] == first != again
 
 
-def test_contact_pushes_and_does_not_pull() -> None:
-    body = HapticStepper(Model(), _values(Model()))
+@pytest.mark.parametrize('effects', [(), ('springpot',)])
+def test_contact_pushes_and_does_not_pull(effects: tuple[str, ...]) -> None:
+    model = Model(effects)
+    body = HapticStepper(model, _values(model))
     forces = [body.step(d) for d in (*np.linspace(0.0, 0.005, 200), *np.linspace(0.005, 0.0, 20))]
     assert min(forces) >= 0.0
+    assert max(forces) > 0.0
     assert not body.touching
     assert body.surface > 0.0
 
