@@ -28,9 +28,10 @@ from pathlib import Path
 import random
 import shutil
 import time
-from typing import Final, TYPE_CHECKING
+from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli import cell
+from hapticvision_ros.cli.configuration import write_config
 from hapticvision_ros.cli.fit import fit_bags, print_tables, write_results
 from hapticvision_ros.core.errors import HapticVisionError, InputError
 from hapticvision_ros.share import share_folder
@@ -51,7 +52,7 @@ EXPERIMENT: Final = (
     *('--recover-time', '3'),
     *('--rest-time', '0.2'),
 )
-OWN_PARAMETERS: Final = {
+OWN_PARAMETERS: Final[dict[str, dict[str, Any]]] = {
     # A demo need not fill a gigabyte of disk.
     'range_sensor_driver.yaml': {'width': 160, 'height': 120},
     # Nothing is there to be hurt, and the machine may have other work to do.
@@ -161,7 +162,7 @@ def _is_run(path: Path) -> bool:
 
 def _experiment(out: Path, domain: int | None) -> int:
     """Run the cell for one small experiment and return the client's exit code."""
-    _write_config(out / 'config')
+    write_config(out / 'config', OWN_PARAMETERS)
     if domain is None:
         domain = random.randint(1, LARGEST_DOMAIN)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -175,31 +176,6 @@ def _experiment(out: Path, domain: int | None) -> int:
     options = ['--run', '--object', OBJECT, '--domain', str(domain)]
     folders = ['--config', str(out / 'config'), '--out', str(out / 'bags')]
     return cell.run(parser.parse_args([*options, *folders, *EXPERIMENT]))
-
-
-def _write_config(folder: Path) -> None:
-    """
-    Write the parameters in which the demo differs from the package's own.
-
-    Raises
-    ------
-    InputError
-        If they cannot be written.
-
-    """
-    import yaml
-
-    try:
-        folder.mkdir(parents=True)
-        for name, values in OWN_PARAMETERS.items():
-            text = (share_folder() / 'config' / name).read_text(encoding='utf-8')
-            parameters = yaml.safe_load(text)
-            parameters['/**']['ros__parameters'].update(values)
-            (folder / name).write_text(yaml.safe_dump(parameters), encoding='utf-8')
-    except OSError as error:
-        raise InputError(
-            f'{folder} cannot be written ({error.strerror}): choose another --out.'
-        ) from error
 
 
 def _silicone_csv(folder: Path | None) -> Path | None:

@@ -29,19 +29,22 @@ from hapticvision_ros.cli.cell import (
     start_world,
     WORLD_CONFIG,
 )
+from hapticvision_ros.cli.configuration import write_config
 from hapticvision_ros.cli.processes import program, ros_environment, Supervisor
 from hapticvision_ros.cli.replay import check_domain
-from hapticvision_ros.core.errors import InputError, UsageError
-from hapticvision_ros.share import share_folder
+from hapticvision_ros.core.errors import UsageError
 
 CLIENT: Final = 'fault_campaign'
 LARGEST_DOMAIN: Final = 101
 RESTARTS: Final = 100
 FORCE_LIMIT: Final = 20.0
 """A quick push of the campaign takes about half of it [N]."""
+START_HEIGHT: Final = 0.052
+WATCHDOG: Final = 0.05
+"""A controller that is gone or held up is without command for so long [s]."""
 QUICK: Final[dict[str, dict[str, Any]]] = {
-    'range_sensor_driver': {'width': 160, 'height': 120},
-    ARM: {
+    'range_sensor_driver.yaml': {'width': 160, 'height': 120},
+    f'{ARM}.yaml': {
         'push_speed': 0.01,
         'approach_speed': 0.03,
         'release_speed': 0.02,
@@ -53,7 +56,7 @@ QUICK: Final[dict[str, dict[str, Any]]] = {
         'frozen_time': 0.3,
         'heartbeat_time': 0.7,
     },
-    ORCHESTRATOR: {
+    f'{ORCHESTRATOR}.yaml': {
         'speeds': [0.01],
         'depths': [0.006],
         'hold_time': 0.6,
@@ -67,11 +70,9 @@ QUICK: Final[dict[str, dict[str, Any]]] = {
         'feedback_period': 0.5,
         'least_room': 0,
     },
+    WORLD_CONFIG: {'arm': {'start_height': START_HEIGHT, 'watchdog': WATCHDOG}},
 }
 """Pushes of about two seconds, and deadlines to match."""
-START_HEIGHT: Final = 0.052
-WATCHDOG: Final = 0.05
-"""A controller that is gone or held up is without command for so long [s]."""
 RATES: Final = ('--force-rate', '500', '--arm-rate', '250', '--range-rate', '10')
 
 
@@ -115,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     domain = random.randint(1, LARGEST_DOMAIN) if args.domain is None else args.domain
     out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
     config = out / 'config'
-    _write_config(config)
+    write_config(config, QUICK)
     page = args.page or out / 'faults.md'
     environment = ros_environment(domain)
     environment['OMP_NUM_THREADS'] = '1'
@@ -131,30 +132,3 @@ def run(args: argparse.Namespace) -> int:
         )
         supervisor.start({CLIENT: command}, labelled=False, grace=CLIENT_GRACE)
         return supervisor.wait(CLIENT)
-
-
-def _write_config(folder: Path) -> None:
-    """
-    Write the parameters in which the campaign differs from the package's own.
-
-    Raises
-    ------
-    InputError
-        If they cannot be written.
-
-    """
-    import yaml
-
-    try:
-        folder.mkdir(parents=True)
-        for name, values in QUICK.items():
-            text = yaml.safe_dump({'/**': {'ros__parameters': values}})
-            (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
-        world = yaml.safe_load((share_folder() / 'config' / WORLD_CONFIG).read_text())
-        world['arm']['start_height'] = START_HEIGHT
-        world['arm']['watchdog'] = WATCHDOG
-        (folder / WORLD_CONFIG).write_text(yaml.safe_dump(world), encoding='utf-8')
-    except OSError as error:
-        raise InputError(
-            f'{folder} cannot be written ({error.strerror}): choose another --out.'
-        ) from error

@@ -22,14 +22,12 @@ once so that one correction does.
 
 import argparse
 from collections.abc import Sequence
-import contextlib
 from dataclasses import replace
 import gc
 import json
 import os
 from pathlib import Path
 import sys
-import tempfile
 from types import TracebackType
 from typing import Any, Final, Self, TextIO, TYPE_CHECKING
 
@@ -241,21 +239,10 @@ def write_results(
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write a JSON document so that `path` holds all of it or what it held before."""
+    from hapticvision_ros.report.writing import write_whole
+
     text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, 'w', encoding='utf-8') as file:
-            file.write(text + '\n')
-        # mkstemp makes a file for its owner alone; a result is made like any other file.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
+    write_whole(path.parent, [(path.name, (text + '\n').encode())])
 
 
 def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:

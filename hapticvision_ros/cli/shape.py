@@ -20,12 +20,12 @@ folder that has one has the rest. Several bags have a folder each, and a table o
 """
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import contextlib
+import math
 import os
 from pathlib import Path
 import re
-import tempfile
 from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli.export import fitted_model, quantity, read_result
@@ -129,7 +129,8 @@ def run(args: argparse.Namespace) -> int:
         print()
     if len(rows) > 1:
         path = args.out / 'shapes.json'
-        _written(args.out, lambda: write_json(path, {'schema': _TABLE_SCHEMA, 'trials': rows}))
+        with _told(args.out):
+            write_json(path, {'schema': _TABLE_SCHEMA, 'trials': rows})
         print('\n'.join(_table(rows)))
         print(f'\nWrote {path}.')
     return 0
@@ -150,6 +151,7 @@ def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -
     """Write what was found of a bag, print it, and return its row of the table."""
     from hapticvision_ros.core.surface.document import shape_document
     from hapticvision_ros.report.shape import files, render_shape
+    from hapticvision_ros.report.writing import write_whole
 
     document = shape_document(study, result=str(result), which=which, bag=str(bag))
     with Progress() as tell:
@@ -163,8 +165,9 @@ def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -
             made=made,
         )
     made['shape.html'] = page.encode()
-    _written(out, lambda: _write(out, made.items()))
-    _written(out, lambda: write_json(out / 'shape.json', document))
+    with _told(out):
+        write_whole(out, made.items())
+        write_json(out / 'shape.json', document)
     _print(study, document['warnings'])
     print(f'\nWrote {out / "shape.json"}, {out / "shape.html"} and {len(made) - 1} files beside.')
     last = document['after'][-1]
@@ -177,11 +180,11 @@ def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -
     }
 
 
-def _written(out: Path, write: Callable[[], None]) -> None:
-    """Make a folder and write into it, or say in one sentence why not."""
+@contextlib.contextmanager
+def _told(out: Path) -> Iterator[None]:
+    """Say in one sentence why nothing can be written."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        write()
+        yield
     except OSError as error:
         raise InputError(
             f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
@@ -217,6 +220,8 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError(f'--rounds {args.rounds}: one run or more.')
     if not 1 <= args.average <= _MOST_FRAMES:
         raise UsageError(f'--average {args.average}: from 1 to {_MOST_FRAMES} frames.')
+    if args.contact is not None and not all(map(math.isfinite, args.contact)):
+        raise UsageError(f'--contact {args.contact[0]:g} {args.contact[1]:g}: two finite numbers.')
     if args.volume_ratio is not None and not 0.0 <= args.volume_ratio < float('inf'):
         raise UsageError(f'--volume-ratio {args.volume_ratio:g}: zero or above.')
 
@@ -283,10 +288,9 @@ def _study(
         from hapticvision_ros.core.segmentation import segment
         from hapticvision_ros.core.surface.study import study_shape
 
-        phases = segment(trial.force, trial.tool_height, trial.displacement_height)
-        depths = [one.get('depth_m') for one in result.get('trials', [])]
-        known = [float(depth) for depth in depths if depth is not None]
+        known = [depth for depth in _depths(result) if depth is not None]
         try:
+            phases = segment(trial.force, trial.tool_height, trial.displacement_height)
             return study_shape(
                 trial,
                 phases,
@@ -301,25 +305,15 @@ def _study(
             raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
 
 
-def _write(out: Path, files: Iterable[tuple[str, bytes]]) -> None:
-    """Write files so that each is whole or as it was before, and none is left half made."""
-    drafts: list[tuple[Path, Path]] = []
+def _depths(result: Mapping[str, Any]) -> list[float | None]:
+    """Return the depths of the trials of a result [m]."""
     try:
-        for name, data in files:
-            handle, draft = tempfile.mkstemp(dir=out, prefix=f'.{name}.')
-            drafts.append((Path(draft), out / name))
-            with os.fdopen(handle, 'wb') as file:
-                file.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        for made, path in drafts:
-            made.chmod(0o666 & ~mask)
-            made.replace(path)
-    except BaseException:
-        for made, _ in drafts:
-            with contextlib.suppress(OSError):
-                made.unlink()
-        raise
+        depths = [one.get('depth_m') for one in result.get('trials', [])]
+        return [None if depth is None else float(depth) for depth in depths]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(
+            f'the result does not hold its trials ({error}): write it anew with hapticvision fit.'
+        ) from error
 
 
 def _print(study: 'ShapeStudy', warnings: Iterable[str]) -> None:

@@ -16,10 +16,7 @@
 """The report: one HTML file that needs nothing else and opens offline."""
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-import os
 from pathlib import Path
-import tempfile
 from typing import Final
 
 from hapticvision_ros.core.errors import InputError
@@ -35,6 +32,7 @@ from hapticvision_ros.report.sections import (
     summary,
     trials,
 )
+from hapticvision_ros.report.writing import write_whole
 
 type Fill = Callable[[CampaignAnalysis, UnitSystem], Mapping[str, object]]
 
@@ -104,18 +102,7 @@ def write_report(path: Path, campaign: CampaignAnalysis, units: UnitSystem = SI_
     """
     page = render(campaign, units)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-        try:
-            with os.fdopen(handle, 'w', encoding='utf-8') as stream:
-                stream.write(page)
-            draft = Path(name)
-            draft.chmod(0o644)
-            draft.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                Path(name).unlink()
-            raise
+        write_whole(path.parent, [(path.name, page.encode())])
     except OSError as error:
         raise InputError(
             f'cannot write the report {path}: {error.strerror}; choose another --out.'

@@ -26,6 +26,7 @@ import threading
 import time
 
 from hapticvision_ros.cli import demo
+from hapticvision_ros.cli.configuration import write_config
 from hapticvision_ros.cli.main import main
 import pytest
 
@@ -203,7 +204,7 @@ def test_only_the_last_runs_are_kept_and_nothing_else_is_touched(
 ) -> None:
     runs = [tmp_path / f'2026010{day}-120000' for day in range(1, 6)]
     for run in runs:
-        demo._write_config(run / 'config')
+        write_config(run / 'config', demo.OWN_PARAMETERS)
         (run / 'bags').mkdir()
     others = [tmp_path / '20250101-120000', tmp_path / 'mine']
     for folder in others:

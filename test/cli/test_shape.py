@@ -119,6 +119,7 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         (CLOUDS, [*TOOL, '--which', 'after'], "has no model 'after'"),
         (CLOUDS, [*TOOL, '--cell', '0.01mm'], 'nodes'),
         (CLOUDS, [*TOOL, '--contact', '0.5', '0.5'], 'does not meet the body'),
+        (CLOUDS, [*TOOL, '--contact', 'nan', '0'], 'two finite numbers'),
         (CLOUDS / 'nothing', TOOL, 'nothing'),
         (CLOUDS, [], 'tool-radius'),
     ],
