@@ -98,9 +98,7 @@ class ParallelView:
         unit = cls(azimuth, elevation, (middle[0], middle[1], middle[2]), 1.0, 0, 0)
         corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
         reach = 2.0 * np.abs(unit.project(corners)[:, :2]).max(axis=0)
-        scale = (1.0 - 2.0 * margin) * min(
-            width / max(reach[0], 1e-9), height / max(reach[1], 1e-9)
-        )
+        scale = min(width / max(reach[0], 1e-9), height / max(reach[1], 1e-9))
         return cls(azimuth, elevation, unit.centre, (1.0 - 2.0 * margin) * scale, width, height)
 
 

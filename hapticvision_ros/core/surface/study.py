@@ -22,6 +22,7 @@ shape.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+import math
 from typing import Final
 
 from hapticvision_ros.core.body.calibration import calibrate, Calibration
@@ -109,10 +110,8 @@ class ShapeStudy:
 
     Parameters
     ----------
-    trial : Trial
-        What was measured.
     phases : Segmentation
-        Its phases.
+        Phases of the trial.
     model : Model
         The identified model.
     settings : ShapeSettings
@@ -138,7 +137,6 @@ class ShapeStudy:
 
     """
 
-    trial: Trial
     phases: Segmentation
     model: Model
     settings: ShapeSettings
@@ -196,12 +194,12 @@ def study_shape(
 
     """
     tell = progress or (lambda what: None)
-    if trial.clouds is None or not len(trial.clouds):
+    clouds = trial.clouds
+    if clouds is None or not len(clouds):
         raise InputError('the bag has no clouds: record /range_sensor/points, or choose a bag')
+    trial, phases = _at_the_tip(trial, phases, model, parameters)
     tell('taking the object out of the clouds')
-    observed = observe(
-        trial.clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact
-    )
+    observed = observe(clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact)
     lattice = _lattice(observed, settings)
     nodes, triangles = lattice.surface
     rest = Mesh(lattice.points[nodes], triangles)
@@ -230,7 +228,6 @@ def study_shape(
     after = [int(np.argmin(np.abs(at - seen.t))) for seen in observed.after]
     surfaces = tuple(meshes[k] for k in after)
     visible = seen_triangles(observed.before, rest)
-    depth, error = pressed_in(trial, phases, phases.t_release or phases.t_end)
     released = float(np.interp(phases.t_release or phases.t_end, run.t, run.tool))
     warnings = [_TOP_VIEW_NOTE] if observed.contact_source == 'top view' else []
     if observed.body.seen_share < _WELL_SEEN and settings.size is None:
@@ -253,7 +250,6 @@ def study_shape(
             'as well'
         )
     return ShapeStudy(
-        trial=trial,
         phases=phases,
         model=model,
         settings=settings,
@@ -270,7 +266,7 @@ def study_shape(
             observed,
             rest,
             surfaces,
-            depth=Estimate(depth, error),
+            depth=_depth(trial, phases),
             simulated_depth=top - released,
         ),
         shots=tuple(
@@ -278,6 +274,30 @@ def study_shape(
         ),
         warnings=tuple(warnings),
     )
+
+
+def _at_the_tip(
+    trial: Trial, phases: Segmentation, model: Model, parameters: Mapping[str, float]
+) -> tuple[Trial, Segmentation]:
+    """Return where the tip was, and the object, by what was identified of the cell."""
+    felt = phases.contact_height
+    if felt is not None and 'contact_offset' in model.effects:
+        phases = replace(phases, contact_height=felt + parameters['delta_0'])
+    if 'machine_compliance' in model.effects:
+        told = trial.tool_height
+        force = trial.force.at(told.t) - phases.force_zero
+        touching = told.t >= (phases.t_contact or 0.0)
+        tip = told.value + np.where(touching, force, 0.0) / parameters['K_m']
+        trial = replace(trial, tool_height=replace(told, value=tip))
+    return trial, phases
+
+
+def _depth(trial: Trial, phases: Segmentation) -> Estimate:
+    """Return how deep the object was pressed in when the tool left [m]."""
+    depth, error = pressed_in(trial, phases, phases.t_release or phases.t_end)
+    if not math.isfinite(depth):
+        return Estimate.unknown('no height of the tool was recorded right before the release')
+    return Estimate(depth, error)
 
 
 def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
@@ -288,6 +308,9 @@ def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
         lattice = from_heights(body.low, body.cell, body.heights, pitch)
     else:
         lattice = box(settings.size, pitch)
+        row, column = np.nonzero(body.inside)
+        middle = [0.5 * (one.min() + one.max() + 1) * body.cell for one in (column, row)]
+        lattice = replace(lattice, low=lattice.low + np.array([*np.add(body.low, middle), 0.0]))
     # Whole cells, and a far side that is hidden: the sides that are seen tell where it stands.
     for _ in range(_PLACINGS):
         lattice = replace(lattice, low=lattice.low + _misplaced(observed, lattice))

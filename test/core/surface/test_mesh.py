@@ -172,6 +172,9 @@ def test_what_is_nearer_covers_what_is_behind() -> None:
     assert np.count_nonzero(owner != NOTHING) == pytest.approx(
         SIZE[0] * SIZE[2] * view.scale**2, rel=0.05
     )
+    # The wider way has the margin that is asked for.
+    columns = np.flatnonzero((owner != NOTHING).any(axis=0))
+    np.testing.assert_allclose([columns[0], 99 - columns[-1]], 6.0, atol=1.0)
     above = ParallelView.around(
         mesh.points, azimuth=0.3, elevation=0.5 * math.pi, width=100, height=80
     )
