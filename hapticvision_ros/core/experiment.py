@@ -57,8 +57,8 @@ class Step(Enum):
     What the experiment is doing; the order of a trial is the order of the names.
 
     `CHECK` asks whether the cell allows the goal, before its first trial. `RETRACT` sees to it
-    that no tool was left low, before the first trial and after one that failed, also when that
-    was the last. `STOP` is gone through only after a cancel or a failure in mid-push, `ANALYSE`
+    that no tool was left low: before the first trial, and after one that failed before the next,
+    before an analysis and at the end. `STOP` is gone through only after a cancel or a failure in mid-push, `ANALYSE`
     only where the experiment chooses trials by itself once its grid is done; `END` is the last.
     """
 
@@ -369,7 +369,7 @@ class Experiment:
         self._index = 0
         self._trial_reason = ''
         self._trial_failed = False
-        self._leaving = False
+        self._then: Step | None = None
         self._step = Step.BRING_UP
         self.entered = now
 
@@ -391,7 +391,7 @@ class Experiment:
     @property
     def leaving(self) -> bool:
         """Whether the trials are over and only the tool has to be seen to."""
-        return self._leaving
+        return self._then is Step.DISABLE
 
     @property
     def shaken(self) -> bool:
@@ -415,7 +415,7 @@ class Experiment:
             return 0.0
         following = self._index + 1
         left = sum(goal.rest_time + pushing_time(goal, trial) for trial in self.trials[following:])
-        if self._leaving or self._step in _PUSHED:
+        if self._then is not None or self._step in _PUSHED:
             return left
         if self._step is Step.REST:
             return max(0.0, left - (now - self.entered))
@@ -426,8 +426,14 @@ class Experiment:
         """Take note that the present step (but `PUSH` and `FINISH`) has been carried out."""
         if self._step is Step.DISABLE:
             self._end(now)
-        elif self._step is Step.RETRACT and self._leaving:
-            self._enter(Step.DISABLE, now)
+        elif self._step is Step.BRING_UP and self._then is not None:
+            # No push follows whose goal the cell might not allow.
+            self._enter(Step.ENABLE, now)
+        elif self._step is Step.RETRACT:
+            # The tool is up, and what the arm said of its last push is over.
+            self.arm_phase = None
+            step, self._then = self._then or _NEXT[self._step], None
+            self._enter(step, now)
         elif self._step is Step.REST:
             self._index += 1
             self._enter(Step.BRING_UP, now)
@@ -446,8 +452,9 @@ class Experiment:
             Time [s].
 
         """
-        if (self._step is Step.DISABLE or self._leaving) and self.shaken and self.outcomes:
-            # What does not answer at the end is what failed before.
+        returning = self._then is not None
+        if (self._step is Step.DISABLE or returning) and self.shaken and self.outcomes:
+            # What does not answer now is what failed before.
             reason = self.outcomes[-1].reason
         self.reason = self.reason or reason
         if self._step in (*_RECORDING, Step.FINISH):
@@ -456,7 +463,7 @@ class Experiment:
             self._enter(Step.STOP, now)
         elif self._step is Step.STOP:
             self._enter(Step.FINISH, now)
-        elif self._step is Step.DISABLE or self._leaving:
+        elif self._step is Step.DISABLE or (returning and self._step is not Step.RETRACT):
             self._end(now)
         else:
             self._enter(Step.DISABLE, now)
@@ -528,8 +535,15 @@ class Experiment:
         if self._step in _RECORDING:
             self._fail_trial('the experiment was cancelled')
             self._enter(Step.STOP, now)
-        elif not self._leaving and self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
-            self._enter(Step.DISABLE, now)
+        elif self._then is not None:
+            # The tool is being seen to, and nothing else is done after that.
+            self._then = Step.DISABLE
+        elif self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
+            if self.outcomes:
+                self._leave(now)
+            else:
+                # Nothing was pushed: after a cancel nothing moves.
+                self._enter(Step.DISABLE, now)
         return True
 
     def recorded(self, bag: str | None, missing: Iterable[str], now: float) -> None:
@@ -572,7 +586,8 @@ class Experiment:
         elif self.goal.budget is not None and self.complete:
             if self._grid_over is None:
                 self._grid_over = now
-            self._enter(Step.ANALYSE, now)
+            # A tool that may have been left low does not wait for an analysis.
+            self._return(Step.ANALYSE, now)
         else:
             self._leave(now)
 
@@ -646,10 +661,15 @@ class Experiment:
 
     def _leave(self, now: float) -> None:
         """End the trials, and see to a tool that may have been left low."""
+        self._return(Step.DISABLE, now)
+
+    def _return(self, then: Step, now: float) -> None:
+        """Go to a step, by a retraction if the tool may have been left low."""
         # Also an arm that has said "aborted" may have left its tool low: it may have lost its
         # height, or its controller was ended.
-        self._leaving = self.arm_phase not in (None, 'done')
-        self._enter(Step.BRING_UP if self._leaving else Step.DISABLE, now)
+        low = self.arm_phase not in (None, 'done')
+        self._then = then if low else None
+        self._enter(Step.BRING_UP if low else then, now)
 
     def _fail_trial(self, reason: str) -> None:
         """Mark the trial at hand; its first reason stands."""

@@ -367,6 +367,7 @@ def test_the_budget_counts_from_the_end_of_the_grid_and_failed_pushes_too():
         experiment.tick(2.0)
         assert experiment.trial.number == trial
         push(experiment, 'aborted' if trial == 2 else 'done', now=3.0)
+        advance(experiment, Step.ANALYSE, 3.0)
     experiment.found(OPEN, 4.0)
     assert experiment.decision is not None
     assert experiment.decision.ending is Ending.BUDGET
@@ -422,17 +423,92 @@ def test_a_cancel_while_it_analyses_makes_no_further_push():
     assert experiment.status is GoalStatus.CANCELED
 
 
-def test_a_tool_left_low_by_the_last_chosen_push_is_retracted():
+def failed_after_a_complete_one() -> Experiment:
+    """Return an experiment whose last push before the analysis has left its tool low."""
+    experiment = begun(push_speeds=(0.001,), depths=(0.005, 0.006), budget=Budget(2))
+    push(experiment)
+    experiment.tick(1.0)
+    push(experiment, 'aborted', now=2.0)
+    return experiment
+
+
+def steps_until(experiment: Experiment, step: Step, now: float) -> list[Step]:
+    """Carry the steps out until `step` is due, and return them."""
+    gone = []
+    while experiment.step is not step:
+        gone.append(experiment.step)
+        experiment.done(now)
+    return gone
+
+
+def test_a_tool_left_low_is_retracted_before_the_trials_are_analysed():
+    experiment = failed_after_a_complete_one()
+    assert experiment.time_left(2.0) == 0.0
+    gone = steps_until(experiment, Step.ANALYSE, 3.0)
+    assert gone == [Step.BRING_UP, Step.ENABLE, Step.RETRACT]
+    experiment.found(CLOSED, 4.0)
+    # It is up: nothing is to be seen to any more.
+    assert experiment.step is Step.DISABLE
+    experiment.done(5.0)
+    assert experiment.status is GoalStatus.SUCCEEDED
+
+
+def test_a_cancel_while_the_tool_is_seen_to_ends_without_the_analysis():
+    experiment = failed_after_a_complete_one()
+    assert experiment.cancel(2.5)
+    gone = steps_until(experiment, Step.DISABLE, 3.0)
+    assert gone == [Step.BRING_UP, Step.ENABLE, Step.RETRACT]
+    experiment.done(4.0)
+    assert experiment.status is GoalStatus.CANCELED
+
+
+def test_an_arm_that_does_not_come_back_ends_the_experiment_before_its_analysis():
+    experiment = failed_after_a_complete_one()
+    experiment.tick(8.0)
+    assert experiment.step is Step.END
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.reason == 'the arm aborted the push'
+
+
+def test_motion_is_forbidden_after_a_retraction_that_was_refused():
+    experiment = failed_after_a_complete_one()
+    advance(experiment, Step.RETRACT, 3.0)
+    experiment.tick(9.0)
+    assert experiment.step is Step.DISABLE
+    experiment.done(9.0)
+    assert experiment.status is GoalStatus.ABORTED
+
+
+def test_a_chosen_push_that_failed_leaves_no_tool_low_either():
     experiment = autonomous()
     experiment.found(OPEN, 1.0)
     experiment.tick(2.0)
     push(experiment, 'aborted', now=3.0)
-    experiment.found(CLOSED, 4.0)
-    assert experiment.leaving
-    assert experiment.step is Step.BRING_UP
-    advance(experiment, Step.DISABLE, 5.0)
-    experiment.done(5.0)
-    assert experiment.status is GoalStatus.SUCCEEDED
+    assert Step.RETRACT in steps_until(experiment, Step.ANALYSE, 4.0)
+    assert experiment.cancel(5.0)
+    assert experiment.step is Step.DISABLE, 'the tool is up'
+
+
+@pytest.mark.parametrize('step', [Step.REST, Step.BRING_UP, Step.ENABLE, Step.RETRACT])
+def test_a_cancel_after_a_failed_trial_leaves_no_tool_low(step):
+    experiment = begun()
+    push(experiment, 'aborted')
+    assert experiment.step is Step.REST
+    if step is not Step.REST:
+        experiment.tick(1.0)
+        advance(experiment, step, 1.0)
+    assert experiment.cancel(1.5)
+    assert Step.RETRACT in steps_until(experiment, Step.DISABLE, 2.0)
+    experiment.done(3.0)
+    assert experiment.status is GoalStatus.CANCELED
+
+
+def test_a_cancel_before_the_first_push_moves_nothing():
+    experiment = begun()
+    # Of an experiment before this one.
+    experiment.phase('aborted', 0.0)
+    assert experiment.cancel(0.5)
+    assert experiment.step is Step.DISABLE
 
 
 def test_without_a_complete_trial_there_is_nothing_to_analyse():
