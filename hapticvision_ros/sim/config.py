@@ -16,7 +16,7 @@
 """The description of a simulated cell: what stands in it, and how its devices measure."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, MISSING
 from math import isnan
 import os
 from pathlib import Path
@@ -144,8 +144,41 @@ class RangeSensorModel:
 
 
 @dataclass(frozen=True, slots=True)
+class SoftBodyModel:
+    """
+    How the object deforms, where it is a body of mass points and not a chain with a dent.
+
+    Parameters
+    ----------
+    pitch : float
+        Side of a cell, which divides the block's sides [m].
+    step : float
+        Time step [s]; the finer, the less inertia.
+    volume_ratio : float
+        Stiffness against a change of volume over Young's modulus [-]; zero for a material with a
+        Poisson's ratio of 1/4.
+    slides : bool
+        Whether it slides on the support; else it is glued there.
+    sphere : bool
+        Whether the tool ends in a sphere of its radius; else it is flat.
+
+    """
+
+    pitch: float
+    step: float
+    volume_ratio: float
+    slides: bool = False
+    sphere: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class WorldConfig:
-    """A simulated cell: its parts and the objects that can be placed in it, by name."""
+    """
+    A simulated cell: its parts and the objects that can be placed in it, by name.
+
+    Without `soft_body` an object is a chain of springs and dashpots, and what is seen of it a
+    block with a dent.
+    """
 
     time_step: float
     block: Block
@@ -153,6 +186,7 @@ class WorldConfig:
     load_cell: LoadCellModel
     range_sensor: RangeSensorModel
     objects: Mapping[str, Material]
+    soft_body: SoftBodyModel | None = None
 
     def material(self, name: str) -> Material:
         """
@@ -200,6 +234,9 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     'field_of_view': (0.05, 2.0),
     'dropout': (0.0, 0.9),
     'table_size': (0.1, 10.0),
+    'pitch': (1e-3, 0.05),
+    'step': (1e-5, 2e-3),
+    'volume_ratio': (0.0, 50.0),
 }
 
 
@@ -211,6 +248,13 @@ def _number(value: object, name: str, where: str) -> float:
     if not low <= value <= high:
         raise InputError(f'{where}: {name} is {value:g}, but must lie in {low:g} to {high:g}')
     return float(value)
+
+
+def _flag(value: object, name: str, where: str) -> bool:
+    """Return `value` as true or false."""
+    if not isinstance(value, bool):
+        raise InputError(f'{where}: {name} must be true or false, not {value!r}')
+    return value
 
 
 def _section(value: object, where: str) -> Mapping[str, object]:
@@ -227,10 +271,15 @@ def _build[T](cls: type[T], value: object, where: str, *, optional: bool = False
     unknown = sorted(set(section) - set(names))
     if unknown:
         raise InputError(f'{where}: unknown entry {unknown[0]!r}; known are {", ".join(names)}')
-    missing = [name for name in names if name not in section]
+    needed = [f.name for f in fields(cls) if f.default is MISSING]  # type: ignore[arg-type]
+    missing = [name for name in needed if name not in section]
     if missing and not optional:
         raise InputError(f'{where}: entry {missing[0]!r} is missing')
-    numbers = {name: _number(number, name, where) for name, number in section.items()}
+    flags = {field.name for field in fields(cls) if field.type is bool}  # type: ignore[arg-type]
+    numbers = {
+        name: _flag(value, name, where) if name in flags else _number(value, name, where)
+        for name, value in section.items()
+    }
     try:
         return cls(**numbers)
     except (TypeError, ValueError) as error:
@@ -288,7 +337,7 @@ def load_config(path: Path | None = None) -> WorldConfig:
     where = str(path)
     section = _section(content, where)
     for name in (field.name for field in fields(WorldConfig)):
-        if name not in section:
+        if name not in section and name != 'soft_body':
             raise InputError(f'{where}: entry {name!r} is missing')
     objects = {
         name: _build(Material, value, f'{where}: objects: {name}', optional=True)
@@ -301,4 +350,7 @@ def load_config(path: Path | None = None) -> WorldConfig:
         load_cell=_build(LoadCellModel, section['load_cell'], f'{where}: load_cell'),
         range_sensor=_build(RangeSensorModel, section['range_sensor'], f'{where}: range_sensor'),
         objects=objects,
+        soft_body=None
+        if section.get('soft_body') is None
+        else _build(SoftBodyModel, section['soft_body'], f'{where}: soft_body'),
     )

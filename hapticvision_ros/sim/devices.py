@@ -31,7 +31,7 @@ from hapticvision_ros.core.devices import (
     WrenchSample,
 )
 from hapticvision_ros.core.errors import DeviceError
-from hapticvision_ros.sim.config import Block, RangeSensorModel
+from hapticvision_ros.sim.config import Block, RangeSensorModel, SoftBodyModel
 from hapticvision_ros.sim.protocol import (
     ARM,
     ARM_PACKET,
@@ -43,10 +43,12 @@ from hapticvision_ros.sim.protocol import (
     LOOPBACK,
     MAX_DATAGRAM,
     Message,
+    POINT,
     SHAPE,
     SHAPE_PACKET,
 )
 from hapticvision_ros.sim.scene import RangeRenderer, Scene
+import numpy as np
 
 CONNECT_TIMEOUT = 3.0
 """How long a world that is just starting is waited for [s]."""
@@ -197,17 +199,20 @@ class SimulatedArm:
 class SimulatedRangeSensor:
     """The range sensor of the simulated cell; its clouds are rendered in the caller's process."""
 
-    def __init__(self, link: _Link, renderer: RangeRenderer) -> None:
+    def __init__(self, link: _Link, renderer: RangeRenderer, nodes: int = 0) -> None:
         self._link = link
         self._renderer = renderer
+        self._size = SHAPE_PACKET.size + 3 * nodes * np.dtype(POINT).itemsize
         self.counts = StreamCounts()
 
     def grab(self, timeout: float) -> RangeFrame:
         """Return the next frame, waiting up to `timeout` [s]; late frames are skipped."""
-        newest = self._link.receive(SHAPE_PACKET.size, timeout)[-1]
-        stamp, tool_height, displacement = SHAPE_PACKET.unpack(newest)
+        newest = self._link.receive(self._size, timeout)[-1]
+        stamp, tool_height, displacement = SHAPE_PACKET.unpack_from(newest)
+        points = np.frombuffer(newest, POINT, offset=SHAPE_PACKET.size).astype(np.float64)
         self.counts.received += 1
-        return RangeFrame(stamp, self._renderer.render(tool_height, displacement))
+        cloud = self._renderer.render(tool_height, displacement, points.reshape(-1, 3))
+        return RangeFrame(stamp, cloud)
 
     def close(self) -> None:
         """Let go of the device."""
@@ -307,14 +312,29 @@ def connect_range_sensor(
                 'block': dict() as block,
                 'tool_radius': float() as tool_radius,
                 'sensor': dict() as sensor,
+                'soft_body': dict() | None as soft_body,
             }
         }:
             scene = Scene(Block(**block), tool_radius, RangeSensorModel(**sensor))
+            model = None if soft_body is None else SoftBodyModel(**soft_body)
         case _:
             link.close()
             raise DeviceError(f'what answers on UDP port {port} is no simulated world')
-    renderer = RangeRenderer(scene, width=width, height=height, depth_noise=depth_noise, seed=seed)
-    return SimulatedRangeSensor(link, renderer)
+    nodes, triangles = 0, None
+    if model is not None:
+        # It needs numba, which is slow to load and which a block does without.
+        from hapticvision_ros.sim.soft_object import soft_surface
+
+        nodes, triangles = soft_surface(scene.block, model)
+    renderer = RangeRenderer(
+        scene,
+        width=width,
+        height=height,
+        depth_noise=depth_noise,
+        seed=seed,
+        triangles=triangles,
+    )
+    return SimulatedRangeSensor(link, renderer, nodes)
 
 
 def place_new_sample(port: int) -> None:

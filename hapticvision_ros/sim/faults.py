@@ -127,7 +127,8 @@ class Distortion:
 
     def _changed(self, datagram: bytes) -> bytes:
         """Return a datagram with another content."""
-        stamp, *fields = self._packet.unpack(datagram)
+        size = self._packet.size
+        stamp, *fields = self._packet.unpack_from(datagram)
         k = self._at - 1
         if self._held is None:
             self._held = list(fields)
@@ -146,7 +147,8 @@ class Distortion:
                 stamp += HOUR_NS
             case 'an hour back':
                 stamp -= HOUR_NS
-        return self._packet.pack(stamp, *fields)
+        # Where the nodes of a soft body follow, they stay.
+        return self._packet.pack(stamp, *fields) + datagram[size:]
 
 
 class FaultyServer(WorldServer):

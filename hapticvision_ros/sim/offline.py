@@ -132,6 +132,7 @@ def record_trial(
 
     """
     arm = config.arm
+    world = World(config, material, seed=seed)
     renderer = None
     if clouds is not None:
         scene = Scene(config.block, arm.tool_radius, config.range_sensor)
@@ -141,9 +142,9 @@ def record_trial(
             height=clouds.height,
             depth_noise=clouds.depth_noise,
             seed=seed,
+            triangles=None if world.soft is None else world.soft.triangles,
         )
     random = np.random.default_rng([seed, 1])
-    world = World(config, material, seed=seed)
     with BagWriter(path, compression=compression, atomic=True) as bag:
         bag.write_metadata(
             PROVENANCE,
@@ -230,7 +231,7 @@ def _write(
     for shape in readings.shape:
         stamp = START_NS + round(shape.t * 1e9)
         if renderer is not None:
-            xyz = renderer.render(shape.tool_height, shape.displacement)
+            xyz = renderer.render(shape.tool_height, shape.displacement, shape.points)
             bag.write_cloud(stamp, POINTS.frame_id, xyz)
         if displacement_noise is not None:
             height = shape.displacement + displacement_noise * random.standard_normal()

@@ -39,9 +39,15 @@ FORCE_PACKET: Final = struct.Struct('<xQ6d')
 ARM_PACKET: Final = struct.Struct('<xQd')
 """Stamp [ns] and tool height [m]."""
 SHAPE_PACKET: Final = struct.Struct('<xQdd')
-"""Stamp [ns], tool height [m] and depth of the dent [m]."""
+"""
+Stamp [ns], tool height [m] and depth of the dent [m]; of a soft body the positions of its nodes
+follow, as numbers of `POINT` [m].
+"""
+POINT: Final = '<f4'
+"""A coordinate of a node."""
 
-MAX_DATAGRAM: Final = 2048
+MAX_DATAGRAM: Final = 65507
+"""What UDP carries on loopback [bytes]."""
 
 type Message = Mapping[str, object]
 

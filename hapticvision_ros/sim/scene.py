@@ -102,18 +102,28 @@ class RangeRenderer:
         Standard deviation of the depth along the optical axis [m].
     seed : int
         Seed of the noise.
+    triangles : ndarray of int, shape (m, 3), optional
+        Nodes of the triangles of a deforming body that stands in the place of the block.
 
     """
 
     def __init__(
-        self, scene: Scene, *, width: int, height: int, depth_noise: float, seed: int
+        self,
+        scene: Scene,
+        *,
+        width: int,
+        height: int,
+        depth_noise: float,
+        seed: int,
+        triangles: IndexArray | None = None,
     ) -> None:
         self._scene = scene
         self._noise = np.float32(depth_noise)
         self._random = np.random.default_rng(seed)
         self._size = (height, width)
+        self._triangles = triangles
         origin, directions = _rays(scene, width, height)
-        depth, on_top = _cast_static(scene, origin, directions)
+        depth, on_top = _cast_static(scene, origin, directions, with_block=triangles is None)
         self._origin = origin.astype(np.float32)
         self._directions = directions.astype(np.float32)
         self._static_depth = depth.astype(np.float32)
@@ -155,7 +165,9 @@ class RangeRenderer:
         self._tool_depth = depth.astype(np.float32)
         self._tool_z = (origin[2] + depth * directions[meets, 2]).astype(np.float32)
 
-    def render(self, tool_height: float, displacement: float) -> PointArray:
+    def render(
+        self, tool_height: float, displacement: float, points: FloatArray | None = None
+    ) -> PointArray:
         """
         Return one cloud.
 
@@ -165,6 +177,8 @@ class RangeRenderer:
             Height of the tool tip [m].
         displacement : float
             Depth H of the dent [m].
+        points : ndarray, shape (n, 3), optional
+            Nodes of the deforming body, where there is one [m].
 
         Returns
         -------
@@ -173,7 +187,10 @@ class RangeRenderer:
 
         """
         depth = self._static_depth.copy()
-        if displacement > 1e-7:
+        if self._triangles is not None:
+            assert points is not None, 'a deforming body is rendered where its nodes are'
+            self._draw(points, depth)
+        elif displacement > 1e-7:
             depth[self._dent_rays] += self._depth_per_descent * self._descent(displacement)
         seen = (self._tool_z >= tool_height) & ~(self._tool_depth >= depth[self._tool_rays])
         depth[self._tool_rays[seen]] = self._tool_depth[seen]
@@ -187,6 +204,17 @@ class RangeRenderer:
         cloud = self._directions * depth[:, None]
         cloud += self._origin
         return cloud.reshape(*self._size, 3)
+
+    def _draw(self, points: FloatArray, depth: PointArray) -> None:
+        """Put the deforming body before what is behind it."""
+        # It needs numba, which is slow to load and which a block does without.
+        from hapticvision_ros.sim.raster import cast
+
+        height, width = self._size
+        axes, focal = _camera(self._scene, width)
+        seen = (points - self._origin) @ axes.T
+        place = focal * seen[:, :2] / seen[:, 2:] + 0.5 * np.array([width, height]) - 0.5
+        cast(seen, place, self._triangles, focal, depth.reshape(height, width))
 
     def _descent(self, displacement: float) -> PointArray:
         """Return how far below the block's top each ray of the dent ends [m]."""
@@ -229,15 +257,21 @@ class RangeRenderer:
         return descent
 
 
+def _camera(scene: Scene, width: int) -> tuple[FloatArray, float]:
+    """Return the sensor's axes (right, down, forward), and its focal length in pixels."""
+    sensor = scene.sensor
+    cos, sin = np.cos(sensor.elevation), np.sin(sensor.elevation)
+    forward = np.array([0.0, cos, -sin])
+    right = np.array([1.0, 0.0, 0.0])
+    focal = 0.5 * width / np.tan(0.5 * sensor.field_of_view)
+    return np.stack([right, np.cross(forward, right), forward]), float(focal)
+
+
 def _rays(scene: Scene, width: int, height: int) -> tuple[FloatArray, FloatArray]:
     """Return the sensor's origin, and the rays' directions per metre of depth, row by row."""
     sensor = scene.sensor
-    cos, sin = np.cos(sensor.elevation), np.sin(sensor.elevation)
     target = np.array([0.0, 0.0, scene.block.height])
-    forward = np.array([0.0, cos, -sin])
-    right = np.array([1.0, 0.0, 0.0])
-    down = np.cross(forward, right)
-    focal = 0.5 * width / np.tan(0.5 * sensor.field_of_view)
+    (right, down, forward), focal = _camera(scene, width)
     columns = (np.arange(width) + 0.5 - 0.5 * width) / focal
     rows = (np.arange(height) + 0.5 - 0.5 * height) / focal
     directions = (forward + columns[None, :, None] * right + rows[:, None, None] * down).reshape(
@@ -247,7 +281,7 @@ def _rays(scene: Scene, width: int, height: int) -> tuple[FloatArray, FloatArray
 
 
 def _cast_static(
-    scene: Scene, origin: FloatArray, directions: FloatArray
+    scene: Scene, origin: FloatArray, directions: FloatArray, *, with_block: bool
 ) -> tuple[FloatArray, BoolArray]:
     """Return each ray's depth in the undented scene (NaN: none), and whether it meets the top."""
     block = scene.block
@@ -261,7 +295,7 @@ def _cast_static(
     near = np.minimum((low - start) * inverse, (high - start) * inverse)
     far = np.maximum((low - start) * inverse, (high - start) * inverse)
     entry, leave = near.max(axis=1), far.min(axis=1)
-    hits_block = (entry <= leave) & (entry > 0.0)
+    hits_block = (entry <= leave) & (entry > 0.0) & with_block
     on_top = hits_block & (near.argmax(axis=1) == 2)
 
     with np.errstate(divide='ignore'):

@@ -31,7 +31,7 @@ import sys
 import time
 from types import FrameType
 
-from hapticvision_ros.core.errors import DeviceError, HapticVisionError, UsageError
+from hapticvision_ros.core.errors import DeviceError, HapticVisionError, InputError, UsageError
 from hapticvision_ros.sim.config import load_config, WorldConfig
 from hapticvision_ros.sim.protocol import (
     ARM,
@@ -44,11 +44,13 @@ from hapticvision_ros.sim.protocol import (
     LOOPBACK,
     MAX_DATAGRAM,
     Message,
+    POINT,
     SHAPE,
     SHAPE_PACKET,
     STREAMS,
 )
 from hapticvision_ros.sim.world import Readings, World
+import numpy as np
 
 TICK = 0.001
 """The world advances, listens and sends once in this time [s]."""
@@ -73,6 +75,8 @@ class WorldServer:
     ------
     DeviceError
         If the port is taken.
+    InputError
+        If the object has more nodes than a datagram carries.
 
     """
 
@@ -82,7 +86,15 @@ class WorldServer:
             'block': asdict(config.block),
             'tool_radius': config.arm.tool_radius,
             'sensor': asdict(config.range_sensor),
+            'soft_body': None if config.soft_body is None else asdict(config.soft_body),
         }
+        if world.soft is not None:
+            most = (MAX_DATAGRAM - SHAPE_PACKET.size) // (3 * np.dtype(POINT).itemsize)
+            if len(world.soft.rest) > most:
+                raise InputError(
+                    f'the soft body has {len(world.soft.rest)} nodes, more than the {most} that a '
+                    'running cell can show: choose a larger pitch'
+                )
         self._subscribers: dict[str, dict[Address, float]] = {name: {} for name in STREAMS}
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -170,7 +182,10 @@ class WorldServer:
             self._publish(ARM, ARM_PACKET.pack(stamp, arm.tool_height))
         for shape in readings.shape:
             stamp = start_ns + round(shape.t * 1e9)
-            self._publish(SHAPE, SHAPE_PACKET.pack(stamp, shape.tool_height, shape.displacement))
+            packet = SHAPE_PACKET.pack(stamp, shape.tool_height, shape.displacement)
+            if shape.points is not None:
+                packet += shape.points.astype(POINT).tobytes()
+            self._publish(SHAPE, packet)
 
     def _publish(self, stream: str, datagram: bytes) -> None:
         """Send a datagram to each device of a stream whose lease runs."""

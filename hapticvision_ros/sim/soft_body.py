@@ -16,7 +16,7 @@
 A deforming body for the simulated cell: mass points, explicit in time, with more mass than real.
 
 It shares nothing with the body that is fitted (`core.body`): another lattice code, Newton's law
-with mass instead of a balance of forces, volumes kept by springs without dashpots. Its masses are
+with mass instead of a balance of forces. Its masses are
 made so large that the step is stable; inertia then shows for about the time that a step times the
 stiffening from a link to the body takes, and is small beside the push.
 """
@@ -34,7 +34,16 @@ type Integers = NDArray[np.int64]
 
 _SHARES: Final = {1: 1.0 / 4.0, 2: 1.0 / 4.0, 3: 3.0 / 16.0}
 """What a cell gives an edge, a diagonal of a face, a diagonal of the body."""
-_SAFETY: Final = 0.5
+_MARGIN: Final = 1.5
+"""Of the masses over those that the step just bears."""
+_FREE: Final = 3
+_UPRIGHT: Final = 2
+_GLUED: Final = 0
+"""Along how many of its axes a node may move."""
+_SETTLED: Final = 1e-4
+"""Relative change of a force in a round that makes none."""
+_ROUND, _ROUNDS = 200, 60
+"""Steps of a round in which a body comes to rest, and how many at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +63,8 @@ class SoftMaterial:
         Force below which that does not flow [N].
     bulk : float
         Pressure over the relative change of a cell's volume [Pa].
+    bulk_viscosity : float
+        Pressure over the rate of that change [Pa.s].
 
     """
 
@@ -62,11 +73,12 @@ class SoftMaterial:
     flow: float
     threshold: float = 0.0
     bulk: float = 0.0
+    bulk_viscosity: float = 0.0
 
 
 class SoftBody:
     """
-    A block that stands glued on the support, under a flat round tool that slides on nothing.
+    A block on the support, under a round tool that slides on nothing.
 
     Parameters
     ----------
@@ -80,6 +92,10 @@ class SoftBody:
         Of the tool [m]; its axis is over the middle.
     step : float
         Time step [s]; the masses follow from it.
+    slides : bool
+        Whether it slides on the support without friction; else it is glued there.
+    sphere : bool
+        Whether the tool ends in a sphere; else it is flat.
 
     """
 
@@ -90,8 +106,11 @@ class SoftBody:
         material: SoftMaterial,
         radius: float,
         step: float,
+        *,
+        slides: bool = False,
+        sphere: bool = False,
     ) -> None:
-        self._material, self._pitch, self._step = material, pitch, step
+        self._pitch, self._step = pitch, step
         nx, ny, nz = (round(side / pitch) + 1 for side in size)
         grid = np.stack(np.meshgrid(range(nx), range(ny), range(nz), indexing='ij'), axis=-1)
         self.rest: Floats = pitch * grid.reshape(-1, 3).astype(np.float64)
@@ -109,8 +128,12 @@ class SoftBody:
         self._links, self._share = _links(self._cells)
         span = self.rest[self._links[:, 1]] - self.rest[self._links[:, 0]]
         self._length = np.linalg.norm(span, axis=1)
+        self._scale = self._share * self._length / pitch
+        self._per = pitch / self._length
         self._flowed = np.zeros(len(self._links))
-        self._fixed = self.rest[:, 2] == 0.0
+        below = self.rest[:, 2] == 0.0
+        self._held: Integers = np.where(below, _UPRIGHT if slides else _GLUED, _FREE)
+        self._round = radius if sphere else 0.0
         top = self.rest[:, 2].max()
         inside = np.hypot(self.rest[:, 0], self.rest[:, 1]) <= radius * (1.0 + 1e-9)
         self.face: Integers = np.flatnonzero(inside & (self.rest[:, 2] == top))
@@ -118,11 +141,24 @@ class SoftBody:
             raise ValueError('the tool is smaller than a cell: choose smaller cells')
         self._sticks = np.zeros(self.face.size, dtype=bool)
         dashpot = 1.0 / (1.0 / material.retardation + 1.0 / material.flow)
-        # Stable: the step times the rate of the stiffest motion of a node, by its dashpots and by
-        # its springs; 8 is what the links and cells around a node add up to, with a margin.
-        viscous = 8.0 * dashpot * step
-        elastic = 8.0 * (material.spring + material.bulk * pitch) * step**2
-        self._mass = max(viscous, elastic) / _SAFETY
+        # The stiffest motion of the nodes, each against all its neighbours: the links are 9 and
+        # the cells 12 times as stiff as one. Masses that the step bears follow from its damping
+        # and from its frequency.
+        viscous = 9.0 * dashpot + 12.0 * material.bulk_viscosity * pitch
+        elastic = 9.0 * material.spring + 12.0 * material.bulk * pitch
+        mass = _MARGIN * (0.5 * viscous * step + 0.25 * elastic * step**2)
+        self._numbers = np.array(
+            [
+                material.spring,
+                material.retardation,
+                material.flow,
+                material.threshold,
+                material.bulk,
+                material.bulk_viscosity,
+                mass,
+                pitch,
+            ]
+        )
         self.force = 0.0
 
     def advance(self, seconds: float, start: float, end: float) -> float:
@@ -139,34 +175,25 @@ class SoftBody:
         Returns
         -------
         float
-            Mean force on the tool [N].
+            Mean force of the body on the tool [N], without the inertia of the nodes that touch it.
 
         """
         steps = max(1, math.ceil(seconds / self._step - 1e-9))
-        material = self._material
         self.force = float(
             _advance(
                 self.points,
                 self._velocity,
                 self._links,
-                self._share * self._length / self._pitch,
+                self._scale,
                 self._length,
+                self._per,
                 self._flowed,
                 self._cells,
-                self._fixed,
+                self._held,
                 self.face,
+                self._round,
                 self._sticks,
-                np.array(
-                    [
-                        material.spring,
-                        material.retardation,
-                        material.flow,
-                        material.threshold,
-                        material.bulk,
-                        self._mass,
-                        self._pitch,
-                    ]
-                ),
+                self._numbers,
                 steps,
                 seconds / steps,
                 start,
@@ -174,6 +201,53 @@ class SoftBody:
             )
         )
         return self.force
+
+    def pressed_by(self, depth: float) -> tuple[float, float]:
+        """
+        Press the body and wait until it rests.
+
+        Parameters
+        ----------
+        depth : float
+            Of the tool below the top [m].
+
+        Returns
+        -------
+        float
+            Force on the tool [N].
+        float
+            Sum of the stretches of the springs, each as that of an edge, by weight and length [m].
+
+        """
+        height = float(self.rest[:, 2].max())
+        start, before = height, 0.0
+        for _ in range(_ROUNDS):
+            self.advance(_ROUND * self._step, start, height - depth)
+            start = height - depth
+            if abs(self.force - before) <= _SETTLED * abs(self.force):
+                break
+            before = self.force
+        span = self.points[self._links[:, 1]] - self.points[self._links[:, 0]]
+        long = self._length / self._pitch
+        stretch = (np.linalg.norm(span, axis=1) - self._length) / long
+        return self.force, float(np.sum(self._share * long**2 * np.abs(stretch)))
+
+    @property
+    def triangles(self) -> Integers:
+        """Return the surface, shape (m, 3): nodes of each triangle."""
+        place = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        sides = []
+        for axis in range(3):
+            for end in (0, 1):
+                a, b, c, d = self._cells[:, place[:, axis] == end].T
+                sides.append(np.stack([a, b, d, c], axis=1))
+        faces = np.concatenate(sides)
+        # A face between two cells comes twice.
+        _, first, count = np.unique(
+            np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        a, b, c, d = faces[first[count == 1]].T
+        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
     @property
     def sunk(self) -> float:
@@ -194,14 +268,32 @@ def _links(cells: Integers) -> tuple[Integers, Floats]:
     return unique.astype(np.int64), np.bincount(which.ravel(), np.concatenate(shares))
 
 
-@kernel(error_model='numpy')
+@kernel(error_model='numpy', fastmath=True)
 def _advance(  # type: ignore[no-untyped-def]
-    x, v, links, scale, length, flowed, cells, fixed, face, sticks, numbers, steps, dt, start, end
+    x,
+    v,
+    links,
+    scale,
+    length,
+    per,
+    flowed,
+    cells,
+    held,
+    face,
+    sphere,
+    sticks,
+    numbers,
+    steps,
+    dt,
+    start,
+    end,
 ):
-    spring, retardation, flow, threshold, bulk, mass, pitch = numbers
+    spring, retardation, flow, threshold, bulk, thick, mass, pitch = numbers
+    yielding = 1.0 / (retardation + flow)
     n = x.shape[0]
     force = np.zeros((n, 3))
     gradient = np.zeros((3, 3))
+    slopes = np.zeros((8, 3))
     total = 0.0
     for step in range(steps):
         force[:] = 0.0
@@ -212,22 +304,23 @@ def _advance(  # type: ignore[no-untyped-def]
             dz = x[j, 2] - x[i, 2]
             now = math.sqrt(dx * dx + dy * dy + dz * dz)
             rate = dx * (v[j, 0] - v[i, 0]) + dy * (v[j, 1] - v[i, 1]) + dz * (v[j, 2] - v[i, 2])
+            over = 1.0 / now
             # As strain, so that a diagonal flows at the strain of an edge.
-            per = pitch / length[m]
-            pull = spring * ((now - length[m]) * per - flowed[m]) + retardation * rate / now * per
+            pull = spring * ((now - length[m]) * per[m] - flowed[m])
+            pull += retardation * rate * over * per[m]
             if abs(pull) > threshold:
                 side = 1.0 if pull > 0.0 else -1.0
-                creep = (pull - side * threshold) / (retardation + flow)
+                creep = (pull - side * threshold) * yielding
                 flowed[m] += creep * dt
                 pull -= retardation * creep
-            pull *= scale[m] / now
+            pull *= scale[m] * over
             force[i, 0] += pull * dx
             force[i, 1] += pull * dy
             force[i, 2] += pull * dz
             force[j, 0] -= pull * dx
             force[j, 1] -= pull * dy
             force[j, 2] -= pull * dz
-        if bulk > 0.0:
+        if bulk > 0.0 or thick > 0.0:
             quarter = 0.25 / pitch
             for c in range(cells.shape[0]):
                 for a in range(3):
@@ -244,7 +337,7 @@ def _advance(  # type: ignore[no-untyped-def]
                 c01 = f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2]
                 c02 = f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]
                 volume = f[0, 0] * c00 + f[0, 1] * c01 + f[0, 2] * c02
-                press = bulk * (volume - 1.0) * pitch**3
+                rate = 0.0
                 for p in range(8):
                     node = cells[c, p]
                     sx = quarter if p & 4 else -quarter
@@ -253,29 +346,39 @@ def _advance(  # type: ignore[no-untyped-def]
                     for a in range(3):
                         b = (a + 1) % 3
                         d = (a + 2) % 3
-                        force[node, a] -= press * (
+                        slopes[p, a] = (
                             sx * (f[b, 1] * f[d, 2] - f[b, 2] * f[d, 1])
                             + sy * (f[b, 2] * f[d, 0] - f[b, 0] * f[d, 2])
                             + sz * (f[b, 0] * f[d, 1] - f[b, 1] * f[d, 0])
                         )
+                        rate += slopes[p, a] * v[node, a]
+                press = (bulk * (volume - 1.0) + thick * rate) * pitch**3
+                for p in range(8):
+                    for a in range(3):
+                        force[cells[c, p], a] -= press * slopes[p, a]
         height = start + (end - start) * (step + 1) / steps
         for i in range(n):
-            if fixed[i]:
+            if held[i] == 0:
                 continue
-            for a in range(3):
+            for a in range(held[i]):
                 v[i, a] += force[i, a] * dt / mass
                 x[i, a] += v[i, a] * dt
         for k in range(face.size):
             i = face[k]
-            if x[i, 2] <= height:
+            here = height
+            if sphere > 0.0:
+                away = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1]
+                here += sphere - math.sqrt(max(sphere * sphere - away, 0.0))
+            if x[i, 2] <= here:
                 sticks[k] = False
                 continue
-            # The tool takes what would be above it along, and feels what that asks for.
+            # The tool takes what would be above it along, and feels what springs and dashpots do.
             before = x[i, 2] - v[i, 2] * dt
-            needed = (height - before) / dt
-            total -= mass * (needed - v[i, 2]) / dt
+            needed = (here - before) / dt
+            # Not what the added mass of the nodes at its face asks for: that would be a blow.
+            total += force[i, 2]
             v[i, 2] = needed
-            x[i, 2] = height
+            x[i, 2] = here
             if sticks[k]:
                 for a in range(2):
                     x[i, a] -= v[i, a] * dt

@@ -18,11 +18,15 @@
 from dataclasses import dataclass, field
 from math import exp, inf, sqrt
 from random import Random
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.objects import DeformableObject, Material
+
+if TYPE_CHECKING:
+    from hapticvision_ros.sim.soft_object import SoftObject
 
 LATERAL_FORCE_SHARE = 0.5
 """Noise of the lateral forces, as a share of the white noise along the push."""
@@ -50,11 +54,16 @@ class ArmReading(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """What a range sensor has before it: time [s], tool height [m] and the dent's depth H [m]."""
+    """
+    What a range sensor has before it: time [s], tool height [m] and the dent's depth H [m].
+
+    Of a soft body also where its nodes are, shape (n, 3) [m].
+    """
 
     t: float
     tool_height: float
     displacement: float
+    points: FloatArray | None = None
 
 
 @dataclass(slots=True)
@@ -92,7 +101,8 @@ class World:
                 f'start {arm.start_height:g} m, highest {arm.highest_height:g} m'
             )
         self._config = config
-        self._object = DeformableObject(material, config.time_step)
+        self._soft = _soft_object(config, material)
+        self._object = self._soft or DeformableObject(material, config.time_step)
         self._random = Random(seed)
         self._steps = 0
         self._tool_height = arm.start_height
@@ -122,6 +132,11 @@ class World:
     def contact_force(self) -> float:
         """Return the force of the object on the tool [N], as it is."""
         return self._object.force
+
+    @property
+    def soft(self) -> 'SoftObject | None':
+        """Return the object where it is a soft body."""
+        return self._soft
 
     def set_push_velocity(self, push_velocity: float, at: float | None = None) -> None:
         """
@@ -217,7 +232,8 @@ class World:
         elif stream == 1:
             readings.arm.append(self._read_arm(now))
         else:
-            readings.shape.append(Shape(now, self._tool_height, self._object.displacement))
+            points = None if self._soft is None else self._soft.points
+            readings.shape.append(Shape(now, self._tool_height, self._object.displacement, points))
 
     def _read_force(self, now: float) -> ForceReading:
         cell = self._config.load_cell
@@ -247,3 +263,15 @@ class World:
         if arm.encoder_resolution > 0.0:
             height = round(height / arm.encoder_resolution) * arm.encoder_resolution
         return ArmReading(now, height)
+
+
+def _soft_object(config: WorldConfig, material: Material) -> 'SoftObject | None':
+    """Return the object as a soft body, where the cell has one."""
+    if config.soft_body is None:
+        return None
+    # It needs numba, which is slow to load and which a chain does without.
+    from hapticvision_ros.sim.soft_object import SoftObject
+
+    return SoftObject(
+        material, config.block, config.arm.tool_radius, config.soft_body, config.time_step
+    )

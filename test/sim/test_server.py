@@ -26,7 +26,7 @@ import time
 
 from hapticvision_ros.core.devices import Arm, ArmState
 from hapticvision_ros.core.errors import DeviceError
-from hapticvision_ros.sim.config import WorldConfig
+from hapticvision_ros.sim.config import default_config_path, WorldConfig
 from hapticvision_ros.sim.devices import (
     connect_arm,
     connect_load_cell,
@@ -36,6 +36,7 @@ from hapticvision_ros.sim.devices import (
 from hapticvision_ros.sim.protocol import decode, encode
 import numpy as np
 import pytest
+import yaml
 
 COMMAND = (sys.executable, '-c', 'from hapticvision_ros.sim.server import main; exit(main())')
 PATIENCE = 10.0
@@ -165,6 +166,39 @@ def test_two_devices_of_a_kind_see_the_same_world(start_world: StartWorld) -> No
     assert all(seen[0][stamp] == seen[1][stamp] for stamp in shared)
     first.close()
     second.close()
+
+
+def test_a_soft_body_is_seen_to_deform(
+    start_world: StartWorld, config: WorldConfig, tmp_path: Path
+) -> None:
+    content = yaml.safe_load(default_config_path().read_text())
+    content['block'] |= {'length': 0.04, 'width': 0.04, 'height': 0.02, 'rim_width': 0.004}
+    content['arm'] |= {'tool_radius': 0.01, 'start_height': 0.030}
+    content['soft_body'] = {'pitch': 0.01, 'step': 0.001, 'volume_ratio': 1.0}
+    path = tmp_path / 'cell.yaml'
+    path.write_text(yaml.safe_dump(content))
+    _, port = start_world('--config', str(path), '--range-rate', '20')
+    arm = connect_arm(port)
+    sensor = connect_range_sensor(port, width=160, height=120, depth_noise=0.0, seed=1)
+
+    def look() -> tuple[float, float]:
+        """Return the height of the middle of the top, and how far the near side stands out."""
+        points = sensor.grab(PATIENCE).xyz.reshape(-1, 3)
+        middle = np.hypot(points[:, 0], points[:, 1]) < 0.004
+        side = (points[:, 2] > 0.006) & (points[:, 2] < 0.014) & (points[:, 1] < -0.0195)
+        return float(np.median(points[middle, 2])), float(-points[side, 1].mean())
+
+    top, side = look()
+    assert top == pytest.approx(0.020, abs=1e-6)
+    assert side == pytest.approx(0.020, abs=1e-6)
+    drive(arm, 0.02, lambda state: state.tool_height < 0.017)
+    drive(arm, -0.04, lambda state: state.tool_height > 0.036)
+    sensor.grab(PATIENCE)
+    top, side = look()
+    assert 0.016 < top < 0.0185
+    assert side > 0.0203
+    arm.close()
+    sensor.close()
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
