@@ -239,6 +239,28 @@ class Findings:
             return f'{answer}; the trials do not tell {name}'
         return f'{answer}; least known is {name}, to {100.0 * error:.2g} %'
 
+    def among(self, places: Sequence[int], left_out: Sequence[str]) -> 'Findings':
+        """
+        Return what was found in some of the trials in terms of all of them.
+
+        Parameters
+        ----------
+        places : sequence of int
+            Which of all trials those looked at are, from 0.
+        left_out : sequence of str
+            Why the others were not, as sentences.
+
+        Returns
+        -------
+        Findings
+            The same, with the place of the trial that is worth a repeat, and warnings.
+
+        """
+        repeat = self.repeat
+        if repeat is not None and repeat.like is not None:
+            repeat = replace(repeat, like=places[repeat.like])
+        return replace(self, repeat=repeat, warnings=(*left_out, *self.warnings))
+
     def document(self) -> dict[str, Any]:
         """Return plain lists, mappings and numbers, as `from_document` takes them."""
         return {
@@ -610,16 +632,16 @@ def look(
         trials=len(analysed),
         kinds=len(conditions([each.segmentation for each in analysed])),
         push=push,
-        repeat=_repeat(analysed, places),
-        warnings=(*warnings, *found.warnings),
-    )
+        repeat=_repeat(analysed),
+        warnings=found.warnings,
+    ).among(places, warnings)
 
 
-def _repeat(trials: 'Sequence[TrialAnalysis]', places: Sequence[int]) -> Push | None:
+def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
     """Return the repeat of the push with the largest force, where scatter stands out most."""
     whole = [
         (_peak(each), place, each.segmentation)
-        for each, place in zip(trials, places, strict=True)
+        for place, each in enumerate(trials)
         if each.segmentation.push_speed and each.segmentation.depth
     ]
     if not whole:

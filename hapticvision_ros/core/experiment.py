@@ -58,8 +58,9 @@ class Step(Enum):
 
     `CHECK` asks whether the cell allows the goal, before its first trial. `RETRACT` sees to it
     that no tool was left low: before the first trial, and after one that failed before the next,
-    before an analysis and at the end. `STOP` is gone through only after a cancel or a failure in mid-push, `ANALYSE`
-    only where the experiment chooses trials by itself once its grid is done; `END` is the last.
+    before an analysis and at the end. `STOP` is gone through only after a cancel or a failure in
+    mid-push, `ANALYSE` only where the experiment chooses trials by itself once its grid is done;
+    `END` is the last.
     """
 
     BRING_UP = auto()

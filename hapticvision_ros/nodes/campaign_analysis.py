@@ -19,7 +19,7 @@ It takes seconds of a processor, holds Python's lock meanwhile, and may fail: ne
 node from watching over the cell. The process gets the paths of the bags and what the cell allows,
 as JSON on its standard input, and answers with lines: ``doing ...`` and, at its end,
 ``found ...`` with JSON or ``error ...`` with a sentence. It ends when its input is closed, as it
-is when the node dies.
+is when the node dies. A bag that cannot be read is left out, with a warning.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ import threading
 from typing import Final
 
 from hapticvision_ros.core.autonomy import Cell, Findings, look
-from hapticvision_ros.core.errors import HapticVisionError, UsageError
+from hapticvision_ros.core.errors import HapticVisionError, InputError, UsageError
 
 NICENESS: Final = 10
 """What watches over the cell goes first."""
@@ -159,12 +159,20 @@ def main() -> int:
 
     try:
         _say('doing', 'reading the bags')
-        trials = [read_trial(Path(bag)) for bag in request['bags']]
+        trials, places, left_out = [], [], []
+        for place, bag in enumerate(request['bags']):
+            try:
+                trials.append(read_trial(Path(bag)))
+                places.append(place)
+            except HapticVisionError as error:
+                left_out.append(f'{Path(bag).name} is left out: {str(error).rstrip(".")}')
+        if not trials:
+            raise InputError('; '.join(left_out))
         found = look(
             trials,
             Cell.from_document(request['cell']),
             progress=lambda what: _say('doing', what),
-        )
+        ).among(places, left_out)
         _say('found', json.dumps(found.document(), allow_nan=False))
     except HapticVisionError as error:
         _say('error', str(error).rstrip('.'))

@@ -55,7 +55,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.bag.writer import preload
-from hapticvision_ros.core.autonomy import Budget, Cell, Decision, describe, Findings
+from hapticvision_ros.core.autonomy import Budget, Cell, Decision, describe, Ending, Findings
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.experiment import (
     bag_prefix,
@@ -97,6 +97,7 @@ from hapticvision_ros.nodes.recorder import (
     writable_folder,
 )
 from hapticvision_ros.nodes.runtime import CellNode, run
+from hapticvision_ros.report.writing import write_whole
 from hapticvision_ros.sim.devices import place_new_sample
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -365,6 +366,7 @@ class ExperimentOrchestrator(CellNode):
         self._cell: Cell | None = None
         self._analysis: CampaignAnalysis | None = None
         self._decisions: list[dict[str, Any]] = []
+        self._kept: Decision | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
         self._reported = 0.0
@@ -470,7 +472,7 @@ class ExperimentOrchestrator(CellNode):
             goal_id=UUID(uuid=list(uuid.uuid4().bytes)), stamp=stamp_from_ns(time.time_ns())
         )
         self._carried_out = None
-        self._decisions = []
+        self._decisions, self._kept = [], None
         self._publish_status()
         self.get_logger().info(
             f'goal {self._goal_id()}: {len(goal.trials())} trials to {self._folder}'
@@ -545,6 +547,7 @@ class ExperimentOrchestrator(CellNode):
             if (experiment.step, experiment.entered) == entered:
                 break
         experiment.tick(now)
+        self._keep(experiment)
         self._report(experiment, now)
 
     def _take(self, now: float) -> None:
@@ -756,7 +759,8 @@ class ExperimentOrchestrator(CellNode):
     def _analyse(self, experiment: Experiment) -> None:
         """Begin to analyse the bags so far."""
         assert self._cell is not None
-        bags = [Path(item.bag) for item in experiment.complete if item.bag is not None]
+        # One that somebody has taken away is left out there, and the others keep their places.
+        bags = [Path(item.bag or self._folder / item.trial.name) for item in experiment.complete]
         experiment.waiting_for = 'the analysis of the bags so far'
         self._analysis = CampaignAnalysis(bags, self._cell)
         self.get_logger().info(f'analysing {len(bags)} trials')
@@ -771,31 +775,34 @@ class ExperimentOrchestrator(CellNode):
         else:
             experiment.found(analysis.findings, now)
             self.get_logger().info(f'found: {analysis.findings.sentence}')
+
+    def _keep(self, experiment: Experiment) -> None:
+        """Tell a new decision, and write beside the bags what was found and what it led to."""
         decision = experiment.decision
-        assert decision is not None
-        self._keep(len(experiment.complete), analysis.findings, decision)
+        if decision is None or decision is self._kept:
+            return
+        self._kept = decision
         if decision.push is not None:
             said = f'next: {describe(decision.push)}: {decision.reason}'
         else:
             assert decision.ending is not None
             said = f'{decision.ending.value}: {decision.reason}'
         self.get_logger().info(said)
-
-    def _keep(self, trials: int, findings: Findings | None, decision: Decision) -> None:
-        """Write beside the bags what was found and what it led to."""
+        findings = None if decision.ending is Ending.FAILED else experiment.findings
         self._decisions.append(
             {
-                'trials': trials,
+                'trials': len(experiment.complete),
                 'found': None if findings is None else findings.document(),
                 'ending': None if decision.ending is None else decision.ending.value,
                 'push': None if decision.push is None else asdict(decision.push),
                 'reason': decision.reason,
             }
         )
-        path = self._folder / DECISIONS
+        text = json.dumps(self._decisions, indent=2) + '\n'
         try:
-            path.write_text(json.dumps(self._decisions, indent=2) + '\n', encoding='utf-8')
+            write_whole(self._folder, [(DECISIONS, text.encode())])
         except OSError as error:
+            path = self._folder / DECISIONS
             self.get_logger().warning(f'{path} cannot be written: {error.strerror}')
 
     def _drop_analysis(self) -> None:

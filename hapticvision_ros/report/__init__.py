@@ -14,7 +14,3 @@
 
 
 """The HTML report: one section, one file, one template."""
-
-from hapticvision_ros.report.page import write_report
-
-__all__ = ['write_report']

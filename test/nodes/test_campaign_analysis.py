@@ -57,17 +57,25 @@ def analysis(cell: Cell) -> Iterator[Any]:
         each.drop()
 
 
-def test_a_bag_is_analysed_in_another_process(analysis: Any, until: Any) -> None:
-    one = analysis()
+def test_bags_are_analysed_in_another_process_without_those_that_cannot_be_read(
+    analysis: Any, until: Any, tmp_path: Path
+) -> None:
+    (tmp_path / 'one.mcap').write_bytes(b'no bag')
+    one = analysis(bags=(tmp_path / 'one.mcap', BAG))
     until(lambda: one.doing, 'something told')
     until(lambda: one.over, 'the end')
     assert one.error == ''
     assert one.findings is not None
     assert 'yield_force' in one.findings.effects
     assert one.findings.push is not None
+    assert one.findings.repeat is not None
+    assert one.findings.repeat.like == 1, 'the place among all bags'
+    assert one.findings.warnings[0].startswith('one.mcap is left out: ')
 
 
-def test_a_bag_that_cannot_be_read_is_told(analysis: Any, until: Any, tmp_path: Path) -> None:
+def test_without_a_bag_that_can_be_read_there_is_no_answer(
+    analysis: Any, until: Any, tmp_path: Path
+) -> None:
     (tmp_path / 'one.mcap').write_bytes(b'no bag')
     one = analysis(bags=(tmp_path / 'one.mcap',))
     until(lambda: one.over, 'the end')
