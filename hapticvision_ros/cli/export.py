@@ -131,9 +131,14 @@ def quantity(
     """Return a number above zero in SI units, given with or without its unit."""
     match = re.fullmatch(r'(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*([a-z]+\d?)?', text.strip())
     unit = (match[3] or default) if match else ''
-    if match is None or unit not in units or float(match[1]) == 0.0:
-        raise UsageError(f"{option} '{text}' is no size: write it as {example}.")
-    return float(match[1] + (match[2] or '')) * units[unit]
+    value = 0.0
+    if match is not None and unit in units:
+        value = float(match[1] + (match[2] or '')) * units[unit]
+    if not 0.0 < value < math.inf:
+        raise UsageError(
+            f"{option} '{text}' is no size above zero and finite: write it as {example}."
+        )
+    return value
 
 
 def fitted_model(

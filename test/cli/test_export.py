@@ -140,6 +140,9 @@ def test_an_unknown_parameter_of_the_base_model_is_null_with_its_reason(
         (['--format', 'json', '--area', '20cm2'], 'belong together'),
         (['--format', 'json', '--area', '20kg', '--height', '1'], "--area '20kg' is no size"),
         (['--format', 'json', '--area', '1', '--height', '0mm'], "--height '0mm' is no size"),
+        (['--format', 'json', '--area', '1e400', '--height', '1'], "--area '1e400' is no size"),
+        (['--format', 'json', '--area', '1', '--height', '1e-400'], "'1e-400' is no size"),
+        (['--format', 'json', '--area', '1', '--height', '1e-322um'], "'1e-322um' is no size"),
         (
             ['--format', 'ansys', *FINITE_ELEMENTS, '--linearise', 'reference'],
             'name the shortest time',
