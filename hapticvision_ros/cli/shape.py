@@ -36,11 +36,13 @@ from hapticvision_ros.core.units import LENGTH_UNITS
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.records import Estimate
+    from hapticvision_ros.core.surface.cloud import Observation
     from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
 
 _TABLE_SCHEMA: Final = 'hapticvision/shapes/1'
 _MOST_FRAMES: Final = 100
 _MM: Final = 1e-3
+_LEAST_HELD_OUT: Final = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +111,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='N',
         help='frames that are averaged at each time (default: 5)',
     )
+    parser.add_argument(
+        '--close-loop',
+        action='store_true',
+        help='find volume stiffness, friction under the object and tip of the tool from the shape '
+        'of several bags, each held out in turn (about ten times as long)',
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -120,8 +128,11 @@ def run(args: argparse.Namespace) -> int:
     result = read_result(args.result)
     fitted = fitted_model(args.result, args.which)[:2]
     which = args.which or ('after' if result.get('after') is not None else 'before')
-    rows = []
-    for bag, out in zip(args.bags, _folders(args.bags, args.out), strict=True):
+    rows, loop = [], None
+    folders = _folders(args.bags, args.out)
+    if args.close_loop:
+        loop, settings = _closed(args.bags, result, fitted, settings)
+    for bag, out in zip(args.bags, folders, strict=True):
         if len(args.bags) > 1:
             print(f'{bag}\n')
         study = _study(bag, result, fitted, settings)
@@ -130,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
     if len(rows) > 1:
         path = args.out / 'shapes.json'
         with _told(args.out):
-            write_json(path, {'schema': _TABLE_SCHEMA, 'trials': rows})
+            write_json(path, {'schema': _TABLE_SCHEMA, 'trials': rows, 'loop': loop})
         print('\n'.join(_table(rows)))
         print(f'\nWrote {path}.')
     return 0
@@ -216,6 +227,11 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')
     if not os.access(there, os.W_OK | os.X_OK):
         raise UsageError(f'--out {args.out}: {there} cannot be written to: choose another.')
+    if args.close_loop and len(args.bags) < _LEAST_HELD_OUT:
+        raise UsageError(
+            f'--close-loop: a bag is held out, so give {_LEAST_HELD_OUT} or more, not '
+            f'{len(args.bags)}.'
+        )
     if args.rounds < 1:
         raise UsageError(f'--rounds {args.rounds}: one run or more.')
     if not 1 <= args.average <= _MOST_FRAMES:
@@ -266,13 +282,52 @@ def _size(text: str) -> tuple[float, float, float]:
     return max(length, width), min(length, width), height
 
 
+def _closed(
+    bags: Sequence[Path],
+    result: Mapping[str, Any],
+    fitted: 'tuple[Model, Mapping[str, Estimate]]',
+    settings: 'ShapeSettings',
+) -> 'tuple[dict[str, Any], ShapeSettings]':
+    """Return what the shapes ask for, print it, and return with what to simulate."""
+    from hapticvision_ros.core.surface.loop import close_loop
+
+    loop, asked = close_loop(
+        len(bags),
+        settings,
+        lambda trial, changed, seen: _study(bags[trial], result, fitted, changed, seen),
+    )
+    print('Misfit of the profile of the shape, trial by trial [mm rms]:\n')
+    for name, misfits in loop.misfits.items():
+        print(f'  {name:<24}' + ''.join(f'{one / _MM:8.3f}' for one in misfits))
+    if loop.before is not None and loop.after is not None:
+        print(
+            f'\n  each trial left out in turn: {loop.before / _MM:.3f} as declared, '
+            f'{loop.after / _MM:.3f} with what the others choose'
+        )
+    print(f'\n{"Accepted" if loop.accepted else "Not accepted"}: {loop.verdict}.\n')
+    document = {
+        'misfit_m': {name: list(misfits) for name, misfits in loop.misfits.items()},
+        'chosen': loop.chosen,
+        'accepted': loop.accepted,
+        'held_out_before_m': loop.before,
+        'held_out_after_m': loop.after,
+        'lowered_m2': loop.lowered,
+        'lowered_std_m2': loop.lowered_std,
+        'by_cells_m2': loop.by_cells if math.isfinite(loop.by_cells) else None,
+        'alike': list(loop.alike),
+        'verdict': loop.verdict,
+    }
+    return document, asked
+
+
 def _study(
     bag: Path,
     result: Mapping[str, Any],
     fitted: 'tuple[Model, Mapping[str, Estimate]]',
     settings: 'ShapeSettings',
+    observed: 'Observation | None' = None,
 ) -> 'ShapeStudy':
-    """Return what was found in a bag."""
+    """Return what was found in a bag; of its object, where it was taken out of the clouds."""
     from hapticvision_ros.bag.reader import read_trial
     from hapticvision_ros.core.export import known_values
 
@@ -298,6 +353,7 @@ def _study(
                 parameters,
                 settings,
                 reference_depth=max(known, default=None),
+                observed=observed,
                 progress=tell,
             )
         except InputError as error:

@@ -204,18 +204,18 @@ def _less(minuend: Estimate, subtrahend: Estimate) -> Estimate:
     return Estimate(minuend.value - subtrahend.value, math.hypot(minuend.std, subtrahend.std))
 
 
-def _of_sides(rest: Mesh) -> BoolArray:
-    """Return which triangles are of the sides, in the band of heights that counts."""
+def of_sides(rest: Mesh, band: tuple[float, float] = _BAND) -> BoolArray:
+    """Return which triangles are of the sides, between these shares of the height."""
     top = float(rest.points[:, 2].max())
     z = rest.centres[:, 2]
     return np.asarray(
-        (np.abs(rest.normals[:, 2]) < _UPRIGHT) & (z > _BAND[0] * top) & (z < _BAND[1] * top)
+        (np.abs(rest.normals[:, 2]) < _UPRIGHT) & (z > band[0] * top) & (z < band[1] * top)
     )
 
 
 def _bulge(observed: Observation, rest: Mesh, last: Mesh) -> Pair:
     """Return how far the sides stand out more than before the push."""
-    side = _of_sides(rest)
+    side = of_sides(rest)
     means, errors = [], []
     for seen in (observed.before, observed.after[-1]):
         found = nearest(seen.points, rest)
@@ -238,8 +238,41 @@ def _bulge(observed: Observation, rest: Mesh, last: Mesh) -> Pair:
     return Pair(measured, Estimate(float(np.average(moved, weights=rest.areas[where])), 0.0))
 
 
-def _volume_change(observed: Observation, rest: Mesh, last: Mesh) -> tuple[Pair, float]:
-    """Return by how much the seen part of the object has lost or gained, and its area."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """
+    By how much the top has risen, in the cells of a map.
+
+    Parameters
+    ----------
+    low : ndarray, shape (2,)
+        The map's first corner [m].
+    cell : float
+        Side of its cells [m].
+    seen : ndarray of bool, shape (rows, columns)
+        Which were seen both before the push and at the last look, and are of the simulated body.
+    measured, variance, simulated : ndarray, shape (rows, columns)
+        [m], [m^2], [m]
+
+    """
+
+    low: FloatArray
+    cell: float
+    seen: BoolArray
+    measured: FloatArray
+    variance: FloatArray
+    simulated: FloatArray
+
+    @property
+    def middles(self) -> tuple[FloatArray, FloatArray]:
+        """Return x and y of the cells' middles, shape (rows, columns) each [m]."""
+        rows, columns = self.seen.shape
+        x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+        return self.low[0] + self.cell * x, self.low[1] + self.cell * y
+
+
+def levels(observed: Observation, rest: Mesh, last: Mesh) -> Levels:
+    """Return by how much the top has risen from before the push to the last look."""
     cell = max(1.5 * observed.before.spacing, 1e-3)
     both = np.concatenate((observed.before.points, observed.after[-1].points))
     low = both[:, :2].min(axis=0) - 0.5 * cell
@@ -249,18 +282,24 @@ def _volume_change(observed: Observation, rest: Mesh, last: Mesh) -> tuple[Pair,
     after, after_variance = _upper_heights(observed.after[-1], low, cell, shape)
     corner = float(low[0]), float(low[1])
     old, new = (height_map(one, corner, cell, shape) for one in (rest, last))
-    cells = np.isfinite(before) & np.isfinite(after) & np.isfinite(old) & np.isfinite(new)
-    seen = int(np.count_nonzero(cells))
+    seen = np.isfinite(before) & np.isfinite(after) & np.isfinite(old) & np.isfinite(new)
+    return Levels(low, cell, seen, after - before, before_variance + after_variance, new - old)
+
+
+def _volume_change(observed: Observation, rest: Mesh, last: Mesh) -> tuple[Pair, float]:
+    """Return by how much the seen part of the object has lost or gained, and its area."""
+    maps = levels(observed, rest, last)
+    cell, seen = maps.cell, int(np.count_nonzero(maps.seen))
     area = seen * cell**2
     if seen < _LEAST_CELLS:
         unseen = Estimate.unknown(f'too little of the top is seen: {1e4 * area:.3g} cm^2')
         return Pair(unseen, unseen), area
-    change = float(np.sum((after - before)[cells])) * cell**2
-    scatter = math.sqrt(float(np.sum((before_variance + after_variance)[cells]))) * cell**2
+    change = float(np.sum(maps.measured[maps.seen])) * cell**2
+    scatter = math.sqrt(float(np.sum(maps.variance[maps.seen]))) * cell**2
     level = area * math.hypot(observed.before.plane_std, observed.after[-1].plane_std)
     return Pair(
         Estimate(change, math.hypot(scatter, level)),
-        Estimate(float(np.sum((new - old)[cells])) * cell**2, 0.0),
+        Estimate(float(np.sum(maps.simulated[maps.seen])) * cell**2, 0.0),
     ), area
 
 

@@ -159,6 +159,7 @@ def study_shape(
     settings: ShapeSettings,
     *,
     reference_depth: float | None = None,
+    observed: Observation | None = None,
     progress: Progress | None = None,
 ) -> ShapeStudy:
     """
@@ -178,6 +179,9 @@ def study_shape(
         Tool, cells, contact.
     reference_depth : float, optional
         Depth of the deepest push of the campaign that was fitted [m].
+    observed : Observation, optional
+        The object in the trial's clouds, where another study has taken it out with the same
+        `settings.cloud`.
     progress : callable, optional
         Told what is being done.
 
@@ -198,8 +202,11 @@ def study_shape(
     if clouds is None or not len(clouds):
         raise InputError('the bag has no clouds: record /range_sensor/points, or choose a bag')
     trial, phases = _at_the_tip(trial, phases, model, parameters)
-    tell('taking the object out of the clouds')
-    observed = observe(clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact)
+    if observed is None:
+        tell('taking the object out of the clouds')
+        observed = observe(
+            clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact
+        )
     lattice = _lattice(observed, settings)
     nodes, triangles = lattice.surface
     rest = Mesh(lattice.points[nodes], triangles)
@@ -303,7 +310,7 @@ def _depth(trial: Trial, phases: Segmentation) -> Estimate:
 def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
     """Return the body at rest in the object's frame."""
     body = observed.body
-    pitch = _pitch(settings)
+    pitch = cell_side(settings)
     if settings.size is None:
         lattice = from_heights(body.low, body.cell, body.heights, pitch)
     else:
@@ -317,7 +324,7 @@ def _lattice(observed: Observation, settings: ShapeSettings) -> Lattice:
     return lattice
 
 
-def _pitch(settings: ShapeSettings) -> float:
+def cell_side(settings: ShapeSettings) -> float:
     """Return the side of a cell [m]."""
     if settings.pitch is not None:
         return settings.pitch

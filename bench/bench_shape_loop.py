@@ -1,0 +1,119 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Bench: what the force cannot see, from clouds of the deforming body of the simulated cell.
+
+For each world, some pushes are recorded as bags, fitted, and held against the body of
+`hapticvision shape`, which has a volume ratio of 14, sticks to the support and has a flat tool.
+What differs in the world is declared nowhere. The tables are those of doc/shape.md:
+``OMP_NUM_THREADS=1 python bench/bench_shape_loop.py`` (a minute for each world).
+"""
+
+import argparse
+import contextlib
+from dataclasses import replace
+import io
+import json
+from pathlib import Path
+import tempfile
+import time
+
+from hapticvision_ros.cli.main import main as hapticvision
+from hapticvision_ros.core.units import MM
+from hapticvision_ros.sim.config import load_config, SoftBodyModel
+from hapticvision_ros.sim.objects import Material
+from hapticvision_ros.sim.offline import CloudPlan, record_trial, TrialPlan
+
+MATERIAL = Material(2000.0, 1600.0, 2400.0)
+USUAL = SoftBodyModel(pitch=0.005, step=5e-4, volume_ratio=1.0)
+WORLDS = {
+    'keeps its volume (ratio 1)': USUAL,
+    'keeps its volume (ratio 4)': replace(USUAL, volume_ratio=4.0, step=2.5e-4),
+    'does not keep its volume (ratio 0)': replace(USUAL, volume_ratio=0.0),
+    'slides on the support': replace(USUAL, slides=True),
+    'spherical tool': replace(USUAL, sphere=True),
+    'ratio 0 and slides': replace(USUAL, volume_ratio=0.0, slides=True),
+}
+PUSHES = ((0.005, 0.003), (0.004, 0.004), (0.008, 0.0035))
+"""Speeds [m/s] and depths [m]."""
+
+
+def record(folder: Path, model: SoftBodyModel, seed: int) -> list[str]:
+    """Make the bags of a world."""
+    cell = load_config()
+    cell = replace(
+        cell,
+        block=replace(cell.block, length=0.060, width=0.040, height=0.020, rim_width=0.004),
+        load_cell=replace(cell.load_cell, rate=250.0),
+        arm=replace(cell.arm, state_rate=100.0, tool_radius=0.008, start_height=0.042),
+        range_sensor=replace(cell.range_sensor, rate=5.0, field_of_view=0.21, table_size=0.1),
+        soft_body=model,
+    )
+    bags = []
+    for k, (speed, depth) in enumerate(PUSHES):
+        bag = folder / f'push_{k + 1}'
+        plan = TrialPlan(push_speed=speed, depth=depth, hold_time=3.0, recover_time=2.0)
+        clouds = CloudPlan(width=96, height=72, depth_noise=0.0003)
+        record_trial(bag, cell, MATERIAL, plan, seed=seed + k, clouds=clouds)
+        bags.append(str(bag))
+    return bags
+
+
+def main() -> None:
+    """Run the worlds and print what was found in each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--worlds', type=int, nargs='*', help='which, from 0')
+    parser.add_argument('--cell', default='4mm')
+    parser.add_argument('--rounds', default='3')
+    parser.add_argument('--seed', type=int, default=1)
+    args = parser.parse_args()
+    for k, (name, model) in enumerate(WORLDS.items()):
+        if args.worlds is not None and k not in args.worlds:
+            continue
+        began = time.process_time()
+        with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(io.StringIO()):
+            folder = Path(place)
+            bags = record(folder, model, args.seed)
+            fit, out = folder / 'fit', folder / 'shape'
+            hapticvision(['fit', *bags, '--model', 'three-element', '--out', str(fit)])
+            command = ['shape', str(fit / 'result.json'), *bags, '--tool-radius', '8mm']
+            command += ['--size', '60x40x20mm', '--cell', args.cell, '--rounds', args.rounds]
+            hapticvision([*command, '--close-loop', '--out', str(out)])
+            told = json.loads((fit / 'result.json').read_text())['before']['parameters']
+            table = json.loads((out / 'shapes.json').read_text())
+            bulges = [
+                json.loads((out / Path(bag).name / 'shape.json').read_text())['bulge_m']
+                for bag in bags
+            ]
+        loop = table['loop']
+        print(f'## {name} ({time.process_time() - began:.0f} s)')
+        print({one: round(told[one]['value']) for one in told})
+        for rival, misfits in loop['misfit_m'].items():
+            print(f'{rival:<24}', *(f'{one / MM:.3f}' for one in misfits))
+        print(
+            f'held out {loop["held_out_before_m"] / MM:.3f} -> '
+            f'{loop["held_out_after_m"] / MM:.3f} mm, lowered {loop["lowered_m2"] / MM**2:.5f} '
+            f'± {loop["lowered_std_m2"] / MM**2:.5f}, cells {loop["by_cells_m2"] / MM**2:.5f} mm2'
+        )
+        print(f'{"accepted" if loop["accepted"] else "not accepted"}: {loop["verdict"]}')
+        print(
+            'bulge [mm], measured and simulated:',
+            *(f'{b["measured"] / MM:.3f} {b["simulated"] / MM:.3f};' for b in bulges),
+            flush=True,
+        )
+
+
+if __name__ == '__main__':
+    main()
