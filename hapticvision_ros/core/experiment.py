@@ -258,7 +258,7 @@ class Deadlines:
     margin : float
         Added to the time that a push must take [s].
     analysis : float
-        For an analysis of the trials so far [s].
+        For an analysis of the trials so far, without the compiling of its kernels [s].
 
     """
 
@@ -344,6 +344,8 @@ class Experiment:
         What the arm is doing; None before it has said so.
     waiting_for : str
         What the owner waits for in this step, for the sentence on a deadline that is over.
+    held_up : float
+        How long the present step was held up by what its deadline does not count [s].
     findings : Findings or None
         What the last analysis has found.
     decision : Decision or None
@@ -361,6 +363,7 @@ class Experiment:
         self.reason = ''
         self.arm_phase: str | None = None
         self.waiting_for = ''
+        self.held_up = 0.0
         self.findings: Findings | None = None
         self.decision: Decision | None = None
         self._pushes: list[Push] = []
@@ -515,7 +518,7 @@ class Experiment:
                 self.done(now)
             return
         limit = self._deadlines.of(self._step, self.goal, self.trial)
-        if waited > limit:
+        if waited > limit + self.held_up:
             doing = self.waiting_for or f'the end of "{self._step.name.lower()}"'
             reason = f'{self.trial.name}: waited {limit:.3g} s for {doing}'
             if self._step is Step.PUSH:
@@ -688,6 +691,7 @@ class Experiment:
             self.arm_phase = None
         self._step = step
         self.waiting_for = ''
+        self.held_up = 0.0
         self.entered = now
 
     def _end(self, now: float) -> None:

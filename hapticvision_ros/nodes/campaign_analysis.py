@@ -19,7 +19,9 @@ It takes seconds of a processor, holds Python's lock meanwhile, and may fail: ne
 node from watching over the cell. The process gets the paths of the bags and what the cell allows,
 as JSON on its standard input, and answers with lines: ``doing ...`` and, at its end,
 ``found ...`` with JSON or ``error ...`` with a sentence. It ends when its input is closed, as it
-is when the node dies. A bag that cannot be read is left out, with a warning.
+is when the node dies. A bag that cannot be read is left out, with a warning. Kernels that are not
+compiled yet, as after an installation, take longer than the analysis itself: ``compiling`` and
+``compiled`` tell of the begin of one and of its end.
 """
 
 from collections.abc import Sequence
@@ -30,6 +32,7 @@ from pathlib import Path
 import subprocess
 import sys
 import threading
+import time
 from typing import Final
 
 from hapticvision_ros.core.autonomy import Cell, Findings, look
@@ -37,6 +40,8 @@ from hapticvision_ros.core.errors import HapticVisionError, InputError, UsageErr
 
 NICENESS: Final = 10
 """What watches over the cell goes first."""
+LONGEST_COMPILATION: Final = 600.0
+"""A kernel that takes longer to compile than this hangs [s]."""
 _COMMAND: Final = (sys.executable, '-m', 'hapticvision_ros.nodes.campaign_analysis')
 
 
@@ -55,8 +60,6 @@ class CampaignAnalysis:
 
     Attributes
     ----------
-    doing : str
-        What it is doing, in a few words.
     findings : Findings or None
         What it has found, once it is `over`.
     error : str
@@ -67,7 +70,9 @@ class CampaignAnalysis:
     def __init__(
         self, bags: Sequence[Path], cell: Cell, command: Sequence[str] = _COMMAND
     ) -> None:
-        self.doing = ''
+        self._doing = ''
+        self._compiled = 0.0
+        self._compiling_since: float | None = None
         self.findings: Findings | None = None
         self.error = ''
         request = json.dumps({'bags': [str(bag) for bag in bags], 'cell': cell.document()})
@@ -91,6 +96,21 @@ class CampaignAnalysis:
             return
         self._thread = threading.Thread(target=self._follow, args=(request,), daemon=True)
         self._thread.start()
+
+    @property
+    def doing(self) -> str:
+        """Return what it is doing, in a few words."""
+        if self._compiling_since is not None:
+            return 'compiling, as once after an installation'
+        return self._doing
+
+    @property
+    def compiled(self) -> float:
+        """Return how much of its time so far went into compiling kernels [s]."""
+        since = self._compiling_since
+        if since is None:
+            return self._compiled
+        return self._compiled + min(time.monotonic() - since, LONGEST_COMPILATION)
 
     @property
     def over(self) -> bool:
@@ -129,7 +149,11 @@ class CampaignAnalysis:
         kind, _, rest = line.partition(' ')
         match kind:
             case 'doing':
-                self.doing = rest
+                self._doing = rest
+            case 'compiling':
+                self._compiling_since = time.monotonic()
+            case 'compiled':
+                self._compiled, self._compiling_since = self.compiled, None
             case 'error':
                 self.error = rest
             case 'found':
@@ -139,8 +163,32 @@ class CampaignAnalysis:
                     self.error = 'the analysis gave an answer that cannot be read'
 
 
-def _say(kind: str, text: str) -> None:
+def _say(kind: str, text: str = '') -> None:
     print(kind, text.replace('\n', ' '), flush=True)
+
+
+def _tell_compilations() -> None:
+    """Tell of the kernels that are compiled; those that others need are compiled within them."""
+    # The node does without numba.
+    from numba.core import event
+
+    class Compilations(event.Listener):
+        """Counts how deep they are."""
+
+        def __init__(self) -> None:
+            self._depth = 0
+
+        def on_start(self, event: object) -> None:
+            if self._depth == 0:
+                _say('compiling')
+            self._depth += 1
+
+        def on_end(self, event: object) -> None:
+            self._depth -= 1
+            if self._depth == 0:
+                _say('compiled')
+
+    event.register('numba:compile', Compilations())  # type: ignore[no-untyped-call]
 
 
 def _end_with_input() -> None:
@@ -157,6 +205,7 @@ def main() -> int:
         os.nice(NICENESS)
     from hapticvision_ros.bag.reader import read_trial
 
+    _tell_compilations()
     try:
         _say('doing', 'reading the bags')
         trials, places, left_out = [], [], []

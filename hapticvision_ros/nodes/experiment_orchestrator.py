@@ -160,7 +160,7 @@ PARAMETERS: Final = (
         'analysis_deadline',
         'double',
         's',
-        'How long an analysis of the bags may take.',
+        'How long an analysis of the bags may take, without the compiling of its kernels.',
         1.0,
         36000.0,
     ),
@@ -768,7 +768,10 @@ class ExperimentOrchestrator(CellNode):
     def _on_analysis(self, experiment: Experiment, now: float) -> None:
         """Go on with what the analysis has found, once it has."""
         analysis = self._analysis
-        if analysis is None or not analysis.over:
+        if analysis is None:
+            return
+        experiment.held_up = analysis.compiled
+        if not analysis.over:
             return
         if analysis.findings is None:
             experiment.analysis_failed(analysis.error, now)

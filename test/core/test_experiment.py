@@ -415,6 +415,23 @@ def test_an_analysis_that_fails_or_takes_too_long_aborts_and_the_trials_stay():
     assert slow.reason == ('the analysis failed: waited 30 s for the analysis of the bags so far')
 
 
+def test_what_holds_an_analysis_up_does_not_count():
+    slow = Experiment(
+        goal(push_speeds=(0.001,), depths=(0.005,), budget=Budget(2)),
+        Deadlines(service=5.0, approach=20.0, margin=10.0, analysis=30.0),
+        max_failures=2,
+        now=0.0,
+    )
+    slow.begin(0.0)
+    push(slow)
+    slow.held_up = 100.0
+    slow.tick(129.0)
+    assert slow.step is Step.ANALYSE
+    slow.tick(131.0)
+    assert slow.step is Step.DISABLE
+    assert slow.held_up == 0.0, 'that was another step'
+
+
 def test_a_cancel_while_it_analyses_makes_no_further_push():
     experiment = autonomous()
     assert experiment.cancel(1.0)

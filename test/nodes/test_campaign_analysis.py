@@ -113,6 +113,31 @@ def test_it_is_dropped_at_once_whatever_it_is_doing(analysis: Any, until: Any) -
     assert one.findings is None
 
 
+def test_the_compiling_of_kernels_is_told_apart_from_the_analysis(
+    analysis: Any, until: Any
+) -> None:
+    module = 'hapticvision_ros.nodes.campaign_analysis'
+    # As after an installation: what is compiled is not in the cache.
+    code = (
+        f'import sys, {module} as m\n'
+        'from numba import njit\n'
+        'def look(*args, **kwargs):\n'
+        '    m._say("doing", "much")\n'
+        '    inner = njit(lambda x: x + 1)\n'
+        '    njit(lambda x: inner(x))(1)\n'
+        '    sys.stdin.read()\n'
+        'm._end_with_input = lambda: None\n'
+        'm.look = look\n'
+        'm.main()'
+    )
+    one = analysis(code)
+    until(lambda: one.doing.startswith('compiling'), 'the compiling')
+    until(lambda: one.doing == 'much', 'its end')
+    took = one.compiled
+    assert took > 0.0
+    assert one.compiled == took, 'it goes on without'
+
+
 def test_a_node_that_dies_leaves_no_analysis(analysis: Any, until: Any) -> None:
     # What the node holds open is the process's standard input.
     module = 'hapticvision_ros.nodes.campaign_analysis'
