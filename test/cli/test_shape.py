@@ -14,12 +14,15 @@
 
 """The verb `shape`: from a result and a bag with clouds to a folder, and what it refuses."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
 
 import cv2
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.core.surface.loop import Loop
+from hapticvision_ros.core.surface.study import ShapeSettings
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,6 +125,7 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         (CLOUDS, [*TOOL, '--contact', 'nan', '0'], 'two finite numbers'),
         (CLOUDS / 'nothing', TOOL, 'nothing'),
         (CLOUDS, [], 'tool-radius'),
+        (CLOUDS, [*TOOL, '--close-loop'], 'give 2 or more'),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_sentence(
@@ -167,6 +171,46 @@ def test_several_bags_have_a_folder_each_and_a_table(
     assert printed.count('2.150') == printed.count('2.940') == printed.count('7.060') == 2
     assert main([*arguments[:4], 'a/other', *TOOL, '--out', str(tmp_path / 'out')]) == 2
     assert "two bags are called 'other'" in capsys.readouterr().err
+
+
+def test_what_the_loop_accepts_is_what_is_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used = []
+
+    def closed(trials: int, settings: ShapeSettings, _: object) -> tuple[Loop, ShapeSettings]:
+        found = Loop(
+            misfits={'as declared': (2e-4, 2e-4), 'spherical tool': (2e-5, 3e-5)},
+            chosen='spherical tool',
+            before=2e-4,
+            after=2.5e-5,
+            lowered=4e-8,
+            lowered_std=1e-9,
+            by_cells=1e-9,
+            accepted=True,
+            alike=(),
+            verdict='spherical tool: asked for',
+        )
+        assert trials == 2
+        return found, replace(settings, sphere=True)
+
+    def studied(_: Path, __: object, ___: object, settings: ShapeSettings) -> None:
+        used.append(settings.sphere)
+
+    row = dict.fromkeys(('push_speed_m_s', 'depth_m'))
+    row |= {key: {'measured': None, 'simulated': None} for key in ('bouncing_m', 'residual_m')}
+    monkeypatch.setattr('hapticvision_ros.core.surface.loop.close_loop', closed)
+    monkeypatch.setattr('hapticvision_ros.cli.shape._study', studied)
+    monkeypatch.setattr('hapticvision_ros.cli.shape._done', lambda *_: row)
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), 'other.mcap', *TOOL]
+    assert main([*arguments, '--close-loop', '--out', str(tmp_path / 'out')]) == 0
+    assert used == [True, True]
+    told = json.loads((tmp_path / 'out' / 'shapes.json').read_text())['loop']
+    assert told['accepted'] is True
+    assert told['misfit_m']['spherical tool'] == [2e-5, 3e-5]
+    printed = capsys.readouterr().out
+    assert 'Accepted: spherical tool: asked for.' in printed
+    assert '0.200 as declared, 0.025 with what the others choose' in printed
 
 
 def test_a_parameter_that_is_not_known_is_named(
