@@ -26,10 +26,10 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):
     """
     What numba keeps of a kernel, read without all that numba needs to compile one.
 
@@ -42,7 +42,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         """Return the compiled kernel for some types; None where it is to be compiled."""
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -64,7 +64,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def compile_(function: Callable[..., Any]) -> Any:
         compiled = njit(nogil=True, **options)(function)
         with contextlib.suppress(RuntimeError):
-            compiled._cache = _Cache(function)
+            compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
         return compiled
 
     return compile_

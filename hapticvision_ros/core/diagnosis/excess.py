@@ -27,7 +27,7 @@ import math
 from typing import Final, Literal
 
 from hapticvision_ros.core.diagnosis.refit import Refit
-from hapticvision_ros.core.fit.campaign import calm
+from hapticvision_ros.core.fit.campaign import calm, quietest
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import FloatArray, Segmentation
@@ -113,9 +113,12 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
             parts = _parted(full.height_t, residual, trial, phase, after=False)
             heights.append((trial.name, *parts))
     first = problem.trials[0]
+    least_force, least_height = quietest(problem.trials)
+    alike = _alike(found.force_noise, first.interval)
+    height_alike = _alike(found.height_noise, first.height_interval)
     held = (
-        _held('force', forces, _alike(found.force_noise, first.interval)),
-        _held('displacement height', heights, _alike(found.height_noise, first.height_interval)),
+        _held('force', forces, alike, least_force),
+        _held('displacement height', heights, height_alike, least_height),
     )
     return tuple(each for each in held if each is not None)
 
@@ -159,13 +162,14 @@ def _held(
     channel: Literal['force', 'displacement height'],
     parts: Sequence[tuple[str, FloatArray, FloatArray]],
     alike: float,
+    least: float,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is."""
     known = [each for each in parts if each[2].size >= _FEW]
     quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
-    if quiet.size < _FEWEST or not known or not quiet.any():
+    if quiet.size < _FEWEST or not known:
         return None
-    noise = math.sqrt(float(np.mean(quiet**2)))
+    noise = max(math.sqrt(float(np.mean(quiet**2))), least)
     # A standard deviation is known to one over the root of twice the samples.
     unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
     ratios = []

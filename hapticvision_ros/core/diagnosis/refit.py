@@ -560,10 +560,10 @@ class Workbench:
                 heights.append(_bare(height_blocks(trial), left[index][1]))
         memory = self.memory
         interval = self.trials[0].interval
-        force = follow(forces, force, interval, False, memory.force)
+        force = follow(forces, force, interval, False, memory.force, memory.least_force)
         if heights:
             interval = self.trials[0].height_interval
-            height = follow(heights, height, interval, False, memory.height)
+            height = follow(heights, height, interval, False, memory.height, memory.least_height)
         return force, height
 
 

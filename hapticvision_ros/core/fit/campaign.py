@@ -111,8 +111,8 @@ _WANDERS: Final = 4.0
 """The same for a zero that wanders: a little too much of it costs little."""
 _ZERO: Final = 0.03
 """How far the zero of a load cell may be from the one before contact, over the largest force."""
-_QUIET: Final = 1e-7
-"""Noise that a sensor has at least, over the largest reading."""
+_QUIET: Final = 1e-4
+"""Noise that a sensor has at least, over the largest reading: that of a class of 0.01 %."""
 _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
@@ -926,10 +926,14 @@ def _weighted(
             # The second turn looks at all of them.
             step = max(1, len(forces) // _FIRST_RECORDS)
             forces, heights = forces[::step], heights[::step]
-        force_noise = follow(forces, force_noise, trials[0].interval, first, limit.force)
+        force_noise = follow(
+            forces, force_noise, trials[0].interval, first, limit.force, limit.least_force
+        )
         if heights:
             interval = trials[0].height_interval
-            height_noise = follow(heights, height_noise, interval, first, limit.height)
+            height_noise = follow(
+                heights, height_noise, interval, first, limit.height, limit.least_height
+            )
         # Error bars are those of moments known to a sample, however sharp these look.
         blur = max(problem.sharpest(state, force_noise, blur), 1.0)
         problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
@@ -955,15 +959,20 @@ def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
         if trial.height.size > 8:
             early = int(np.searchsorted(trial.height_t, trial.t_contact))
             height.append(_guess(trial.height[:early], trial.height))
-    peak = max(float(np.abs(t.force).max()) for t in trials)
-    depth = trials[0].reference_depth
+    least_force, least_height = quietest(trials)
     return (
-        _even(max(float(np.median(force)), _QUIET * peak), trials[0].interval),
+        _even(max(float(np.median(force)), least_force), trials[0].interval),
         _even(
-            max(float(np.median(height)) if height else 0.0, _QUIET * depth),
+            max(float(np.median(height)) if height else 0.0, least_height),
             trials[0].height_interval,
         ),
     )
+
+
+def quietest(trials: Sequence[FitTrial]) -> tuple[float, float]:
+    """Return the least noise of a sample of force [N] and of height [m]."""
+    peak = max(float(np.abs(trial.force).max()) for trial in trials)
+    return _QUIET * peak, _QUIET * trials[0].reference_depth
 
 
 def follow(
@@ -972,14 +981,25 @@ def follow(
     interval: float,
     everywhere: bool,
     longest: float,
+    least: float = 0.0,
 ) -> SensorNoise:
     """Return the noise, looked for near a start and, if it is not as large there, everywhere."""
     if not everywhere:
-        near = estimate(records, start, interval, everywhere=False, longest=longest)
+        near = _at_least(
+            least, estimate(records, start, interval, everywhere=False, longest=longest)
+        )
         if abs(math.log(near.std / start.std)) < _OTHER:
             return near
         start = near
-    return estimate(records, start, interval, longest=longest)
+    return _at_least(least, estimate(records, start, interval, longest=longest))
+
+
+def _at_least(std: float, noise: SensorNoise) -> SensorNoise:
+    """Return noise that is no quieter than a sensor can be."""
+    # A simulation may have none at all, or a model explain it to the last digit.
+    if noise.std >= std:
+        return noise
+    return replace(noise, white=math.sqrt(std**2 - noise.slow**2 - noise.wander**2))
 
 
 class Memory(NamedTuple):
@@ -992,6 +1012,8 @@ class Memory(NamedTuple):
         Longest memory that the noise of each may have [s].
     wander, wander_time : float
         Standard deviation [N] and correlation time [s] of the force's zero; none where 0 N.
+    least_force, least_height : float
+        The least noise of a sample [N, m].
 
     """
 
@@ -999,6 +1021,8 @@ class Memory(NamedTuple):
     height: float
     wander: float = 0.0
     wander_time: float = math.inf
+    least_force: float = 0.0
+    least_height: float = 0.0
 
 
 def longest_memory(trials: Sequence[FitTrial]) -> Memory:
@@ -1011,9 +1035,12 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
     """
     record = max(float(trial.t[-1] - trial.t[0]) for trial in trials)
     interval, height_interval = trials[0].interval, trials[0].height_interval
+    least_force, least_height = quietest(trials)
     memory = Memory(
         max(_MEMORY * record, _MEMORY_SAMPLES * interval),
         max(_MEMORY * record, _MEMORY_SAMPLES * height_interval),
+        least_force=least_force,
+        least_height=least_height,
     )
     # A zero that drifts alike in all trials is an effect and does not wander.
     air = [
@@ -1026,9 +1053,12 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
         float(np.sum([np.sum(r.residual**2 * r.blocks.count) for r in air]))
         / float(np.sum([r.blocks.count.sum() for r in air]))
     )
-    if spread == 0.0:
+    # Where a simulation without noise has a drift, that is all there is.
+    if spread <= least_force:
         return memory
     free = estimate(air, _even(spread, interval), interval)
+    if free.std <= least_force:
+        return memory
     brief = free
     if free.correlation_time > memory.force:
         brief = estimate(air, _even(spread, interval), interval, longest=memory.force)

@@ -257,3 +257,19 @@ def test_of_two_valleys_the_one_that_the_height_shows_is_found() -> None:
     # A thousand means scatter by a few hundredths about one.
     assert found.height_chi2 == pytest.approx(1.0, abs=0.3)
     assert not any('misses the height' in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize('effects', [{}, {'force_drift': 0.02}, {'inertia': 0.02}], ids=str)
+def test_a_simulation_without_noise_is_fitted(effects: dict[str, float]) -> None:
+    body = specimen.Body(2000.0, 1600.0, 2400.0)
+    pushes = [campaigns.Push(speed, 0.006, 6.0, 4.0) for speed in (0.002, 0.008)]
+    quiet = campaigns.Sensors(campaigns.ForceNoise(0.0), 0.0)
+    acting = [specimen.Undeclared(name, (value,)) for name, value in effects.items()]
+    campaign = campaigns.Campaign(body, tuple(pushes), quiet)
+    trials = campaigns.run(campaign, acting, seed=0, ideal=True).trials
+    found = fit([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
+    assert found.noise.force.std > 0.0
+    assert found.parameters['K1'].value == pytest.approx(2000.0, rel=0.02)
+    if not effects:
+        assert found.parameters['C2'].value == pytest.approx(2400.0, rel=1e-3)
+        assert found.parameters['C2'].std == pytest.approx(0.0, abs=5.0)
