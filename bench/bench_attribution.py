@@ -24,7 +24,8 @@ the effects; ``--none 400`` campaigns without any; ``--outside`` effects that no
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 import json
 import math
 from multiprocessing import get_context
@@ -33,8 +34,13 @@ import time
 import traceback
 from typing import Any
 
+from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.search import diagnose
-from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.core.fit.campaign import fit_prepared
+from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.least_squares import minimise
+from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import (
     Campaign,
@@ -45,10 +51,16 @@ from hapticvision_ros.sim.campaigns import (
     run,
     Sensors,
 )
-from hapticvision_ros.sim.specimen import Body, LIBRARY, OUTSIDE
+from hapticvision_ros.sim.specimen import Body, LIBRARY, OUTSIDE, Undeclared
 from hapticvision_ros.sim.strengths import LinearMisfit, strength_for, undeclared
 import numpy as np
 
+SEARCHES = 8
+NEAR = 0.1
+"""Fits for a strength, and relative error of the misfit that it may have."""
+STRONGEST = 30.0
+FOLLOWED = 500.0
+"""Rate at which encoders follow an arm [Hz]."""
 CANNOT = {'force_saturation', 'force_quantisation'}
 """Outside effects that are not smooth enough to be scaled to a misfit."""
 
@@ -89,21 +101,68 @@ def make(world: str, seed: int, scatter: float) -> Campaign:
     return random_campaign(seed, scatter=scatter, longest=30.0)
 
 
+def base_misfit(campaign: Campaign, acting: Sequence[Undeclared], seed: int) -> float:
+    """Return the misfit of the base model, at its best, to what its trials are without noise."""
+    # How the encoders follow the arm is no matter of the model.
+    sensors = replace(campaign.sensors, tool_rate=max(campaign.sensors.force_rate, FOLLOWED))
+    exact = replace(campaign, sensors=sensors)
+    trials = run(exact, acting, seed=seed, ideal=True).trials
+    prepared, _ = prepare(
+        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
+    )
+    found = fit_prepared(prepared, Model())
+    problem = found.problem
+    problem.set_noise(white(sensors.force_noise.std), white(sensors.height_noise))
+    best = minimise(problem.evaluate, found.state, problem.bounds, tolerance=1e-6)
+    samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in problem.trials)
+    return math.sqrt(best.cost / samples)
+
+
+def white(std: float) -> SensorNoise:
+    """Return noise without a memory."""
+    return SensorNoise(std, 0.0, 1.0)
+
+
+def fitted_strength(
+    r: float, name: str, campaign: Campaign, start: float, shape: float, seed: int
+) -> float:
+    """
+    Return the strength at which the base model, at its best, misses by r times the noise.
+
+    What is known of the misfit to first order is the start: a fit may go further.
+    """
+    at, power, last = math.log(start), 1.0, None
+    none = base_misfit(campaign, [], seed)
+    for _ in range(SEARCHES):
+        acting = [undeclared(name, math.exp(at), campaign, shape=shape)]
+        reached = math.sqrt(max(base_misfit(campaign, acting, seed) ** 2 - none**2, 1e-12))
+        if abs(math.log(reached / r)) < NEAR:
+            return math.exp(at)
+        if last is not None and at != last[0]:
+            power = min(max((math.log(reached) - last[1]) / (at - last[0]), 0.3), 3.0)
+        last = at, math.log(reached)
+        at += min(max(math.log(r / reached) / power, -2.0), 2.0)
+        if math.exp(at) > STRONGEST:
+            break
+    raise InputError(f'no strength of {name} makes the base model miss by {r:g} times the noise')
+
+
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, names = task['seed'], task['effects']
     campaign = make(task['world'], seed, task['scatter'])
     shape = float(np.random.default_rng((seed, 5)).uniform())
     result = dict(task)
-    acting = []
+    acting = list[Undeclared]()
     try:
         misfit = LinearMisfit(campaign, seed=seed)
         for name in names:
             size = strength_for(
                 task['r'], name, campaign, misfit, shape=shape, seed=seed, tolerance=0.1
             )
+            size = fitted_strength(task['r'], name, campaign, size, shape, seed)
             acting.append(undeclared(name, size, campaign, shape=shape))
-    except (InputError, ValueError):
+    except (InputError, UsageError, ValueError):
         return {**result, 'skipped': True}
     try:
         trials = run(campaign, acting, seed=seed).trials

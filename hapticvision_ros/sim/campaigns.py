@@ -298,7 +298,8 @@ def run(
         offset = campaign.surface_scatter * float(random.standard_normal())
         if ideal:
             share, offset = np.zeros(3), 0.0
-        offset += campaign.surface_offset
+        vector = parameter_vector(campaign.body, effects)
+        offset += campaign.surface_offset + parameter(vector, 'contact_offset', 'delta_0')
         body = Body(
             campaign.body.K1 * math.exp(share[0]),
             campaign.body.C1 * math.exp(share[1]),
@@ -604,7 +605,7 @@ def _trial(
         reference_depth=campaign.deepest,
         campaign_time=start,
     )
-    reading = _load_cell(campaign, index, start, vector, history, motion, offset, knock_at)
+    reading = _load_cell(campaign, index, start, vector, history, motion, knock_at)
     moments: FloatArray = first + interval * np.arange(count)
     force_t = _jittered(moments, interval, jitter, random)
     passed = np.concatenate(([0.0], np.cumsum(reading * np.diff(history.t))))
@@ -786,28 +787,14 @@ def _load_cell(
     vector: FloatArray,
     history: History,
     motion: Motion,
-    offset: float,
     knock_at: float,
 ) -> FloatArray:
     """Return what the load cell makes of the contact force, over each step [N]."""
     dt = np.diff(history.t)
     middle: FloatArray = history.t[:-1] + 0.5 * dt
     force: FloatArray = history.force
-    depth, speed, _ = motion.at(middle)
-    depth = depth + offset
+    speed = motion.at(middle)[1]
 
-    late = parameter(vector, 'contact_offset', 'delta_0')
-    if late != 0.0:
-        inside = history.t_touch <= middle
-        if np.isfinite(history.t_loss):
-            inside &= middle <= history.t_loss
-        if late > 0.0:
-            # The first rise does not come through.
-            force = np.where(inside & (depth < late) & (speed >= 0.0), 0.0, force)
-        else:
-            # Something in front of the surface is touched first.
-            pressed = np.clip(1.0 - depth / late, 0.0, 1.0)
-            force = force + parameter(vector, 'contact_offset', 'F_first') * pressed
     coulomb = parameter(vector, 'friction', 'F_c')
     if coulomb != 0.0:
         force = force + coulomb * np.sign(np.round(speed, 12))

@@ -78,7 +78,7 @@ LIBRARY: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'adhesion': (Quantity('F_ad', 'N', 0.0),),
     'inertia': (Quantity('M', 'kg', 0.0),),
     'machine_compliance': (Quantity('K_m', 'N/m', math.inf),),
-    'contact_offset': (Quantity('delta_0', 'm', 0.0), Quantity('F_first', 'N', 0.0)),
+    'contact_offset': (Quantity('delta_0', 'm', 0.0),),
     'friction': (Quantity('F_c', 'N', 0.0),),
     'force_drift': (Quantity('rate', 'N/s', 0.0),),
     'force_lag': (Quantity('T_f', 's', 0.0),),
@@ -89,7 +89,7 @@ LIBRARY: Final[Mapping[str, tuple[Quantity, ...]]] = {
         Quantity('frequency', 'Hz', 1.0),
     ),
 }
-"""The effects of the contract. `F_first` is the weak force that announces a late touch."""
+"""The effects of the contract."""
 
 OUTSIDE: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'poroelasticity': (Quantity('K_pore', 'N/m', 0.0), Quantity('time', 's', 1.0)),

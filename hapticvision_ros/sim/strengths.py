@@ -124,7 +124,7 @@ _MAKERS: Final[Mapping[str, _Maker]] = {
     'adhesion': lambda s, u, k: (s * k.force,),
     'inertia': lambda s, u, k: (s * k.force * k.interval / k.top_speed,),
     'machine_compliance': lambda s, u, k: (k.force / (s * k.depth),),
-    'contact_offset': lambda s, u, k: (_sign(u) * s * k.depth, 0.2 * s * k.force),
+    'contact_offset': lambda s, u, k: (_sign(u) * s * k.depth,),
     'friction': lambda s, u, k: (s * k.force,),
     'force_drift': lambda s, u, k: (_sign(u) * s * k.force / k.trial,),
     'force_lag': lambda s, u, k: (s * k.push_time,),

@@ -264,7 +264,8 @@ class _Search:
     def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:
         """Return the effects that the trials can show, and those that they cannot."""
         seen, hidden = list[str](), list[str]()
-        tangent = Tangent(bench, base)
+        # Each trial tells where it touches: an offset of all that it detects is never seen.
+        tangent = Tangent(bench, base, known=False)
         for effect in EFFECTS:
             if effect.name == LINE and not self.line:
                 # Without a line in the spectrum a sine would only follow slow noise.

@@ -52,6 +52,10 @@ _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _QUICK_GATE: Final = 20.0
 """Gain, and lead, of what draws jumps out over less than a sample."""
+_QUICK_NEAR: Final = 0.75
+"""Part of the gain of what does so from which on another is like it, however low the noise is."""
+_CERTAIN: Final = 100.0
+"""Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
 _MOST: Final = 3
@@ -307,36 +311,40 @@ def select(
             workers=workers,
             progress=progress,
         )
-        weakest = max(WEAKEST, _SECONDARY * strongest)
-        good = _good(bench, tried, weakest)
+        good = _good(bench, tried, strongest)
         if good and good[0].refit is not None:
             # What the search for the larger model has found may serve the smaller one as well.
             closer = bench.refit(current.model, good[0].refit)
             if closer is not None and closer.deviance < current.deviance:
                 tried = _against(tried, current, closer)
                 current = closer
-                good = _good(bench, tried, weakest)
+                good = _good(bench, tried, strongest)
         if not good or good[0].refit is None:
             rounds.append(Round(current, tried, ()))
             break
-        leader, lead = good[0], LEAD
+        leader = good[0]
+        enough = leader.gain - LEAD
         if fleeting(bench, good[0].refit, leader.effect):
             # What is over within a sample looks much the same, whatever it is.
-            lead = _QUICK_GATE
-        alike = tuple(each.effect for each in good if each.gain > leader.gain - lead)
+            enough = min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
+        alike = tuple(each.effect for each in good if each.gain > enough)
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
     return current, tuple(rounds)
 
 
-def _good(bench: Workbench, tried: Sequence[Trialled], weakest: float) -> list[Trialled]:
+def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list[Trialled]:
     """Return the candidates that may be accepted, best first."""
     shown = resolved(bench)
+    weakest = max(WEAKEST, _SECONDARY * strongest)
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
-            return each.gain > GATE and each.strength > weakest
+            seen = each.strength > weakest
+            # What acts for a short while, such as adhesion, is weak over whole trials.
+            seen |= not strongest and each.gain > _CERTAIN
+            return seen and each.gain > GATE
         return shown and each.gain > _QUICK_GATE and each.strength > weakest
 
     return [
