@@ -97,17 +97,18 @@ def main() -> None:
                 json.loads((out / Path(bag).name / 'shape.json').read_text())['bulge_m']
                 for bag in bags
             ]
-        loop = table['loop']
         print(f'## {name} ({time.process_time() - began:.0f} s)')
         print({one: round(told[one]['value']) for one in told})
-        for rival, misfits in loop['misfit_m'].items():
-            print(f'{rival:<24}', *(f'{one / MM:.3f}' for one in misfits))
-        print(
-            f'held out {loop["held_out_before_m"] / MM:.3f} -> '
-            f'{loop["held_out_after_m"] / MM:.3f} mm, lowered {loop["lowered_m2"] / MM**2:.5f} '
-            f'± {loop["lowered_std_m2"] / MM**2:.5f}, cells {loop["by_cells_m2"] / MM**2:.5f} mm2'
-        )
-        print(f'{"accepted" if loop["accepted"] else "not accepted"}: {loop["verdict"]}')
+        for loop in table['loop']:
+            for rival, misfits in loop['misfit_m'].items():
+                print(f'{rival:<24}', *(f'{one / MM:.3f}' for one in misfits))
+            print(
+                f'held out {loop["held_out_before_m"] / MM:.3f} -> '
+                f'{loop["held_out_after_m"] / MM:.3f} mm, lowered {loop["lowered_m2"] / MM**2:.5f}'
+                f' ± {loop["lowered_std_m2"] / MM**2:.5f}, '
+                f'cells {loop["by_cells_m2"] / MM**2:.5f} mm2'
+            )
+            print(f'{"accepted" if loop["accepted"] else "not accepted"}: {loop["verdict"]}')
         print(
             'bulge [mm], measured and simulated:',
             *(f'{b["measured"] / MM:.3f} {b["simulated"] / MM:.3f};' for b in bulges),

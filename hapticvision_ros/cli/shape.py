@@ -43,6 +43,7 @@ _TABLE_SCHEMA: Final = 'hapticvision/shapes/1'
 _MOST_FRAMES: Final = 100
 _MM: Final = 1e-3
 _LEAST_HELD_OUT: Final = 2
+_MOST_TURNS: Final = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -128,7 +129,8 @@ def run(args: argparse.Namespace) -> int:
     result = read_result(args.result)
     fitted = fitted_model(args.result, args.which)[:2]
     which = args.which or ('after' if result.get('after') is not None else 'before')
-    rows, loop = [], None
+    rows: list[dict[str, Any]] = []
+    loop: list[dict[str, Any]] = []
     folders = _folders(args.bags, args.out)
     if args.close_loop:
         loop, settings = _closed(args.bags, result, fitted, settings)
@@ -287,37 +289,45 @@ def _closed(
     result: Mapping[str, Any],
     fitted: 'tuple[Model, Mapping[str, Estimate]]',
     settings: 'ShapeSettings',
-) -> 'tuple[dict[str, Any], ShapeSettings]':
-    """Return what the shapes ask for, print it, and return with what to simulate."""
+) -> 'tuple[list[dict[str, Any]], ShapeSettings]':
+    """Return what the shapes ask for, one thing after the other, and with what to simulate."""
     from hapticvision_ros.core.surface.loop import close_loop
 
-    loop, asked = close_loop(
-        len(bags),
-        settings,
-        lambda trial, changed, seen: _study(bags[trial], result, fitted, changed, seen),
-    )
-    print('Misfit of the profile of the shape, trial by trial [mm rms]:\n')
-    for name, misfits in loop.misfits.items():
-        print(f'  {name:<24}' + ''.join(f'{one / _MM:8.3f}' for one in misfits))
-    if loop.before is not None and loop.after is not None:
-        print(
-            f'\n  each trial left out in turn: {loop.before / _MM:.3f} as declared, '
-            f'{loop.after / _MM:.3f} with what the others choose'
+    documents = []
+    for turn in range(_MOST_TURNS):
+        loop, asked = close_loop(
+            len(bags),
+            settings,
+            lambda trial, changed, seen: _study(bags[trial], result, fitted, changed, seen),
         )
-    print(f'\n{"Accepted" if loop.accepted else "Not accepted"}: {loop.verdict}.\n')
-    document = {
-        'misfit_m': {name: list(misfits) for name, misfits in loop.misfits.items()},
-        'chosen': loop.chosen,
-        'accepted': loop.accepted,
-        'held_out_before_m': loop.before,
-        'held_out_after_m': loop.after,
-        'lowered_m2': loop.lowered,
-        'lowered_std_m2': loop.lowered_std,
-        'by_cells_m2': loop.by_cells if math.isfinite(loop.by_cells) else None,
-        'alike': list(loop.alike),
-        'verdict': loop.verdict,
-    }
-    return document, asked
+        print('Misfit of the profile of the shape, trial by trial [mm rms]:\n')
+        for name, misfits in loop.misfits.items():
+            print(f'  {name:<24}' + ''.join(f'{one / _MM:8.3f}' for one in misfits))
+        if loop.before is not None and loop.after is not None:
+            print(
+                f'\n  each trial left out in turn: {loop.before / _MM:.3f} as '
+                f'{"accepted so far" if turn else "declared"}, {loop.after / _MM:.3f} with what '
+                'the others choose'
+            )
+        print(f'\n{"Accepted" if loop.accepted else "Not accepted"}: {loop.verdict}.\n')
+        documents.append(
+            {
+                'misfit_m': {name: list(misfits) for name, misfits in loop.misfits.items()},
+                'chosen': loop.chosen,
+                'accepted': loop.accepted,
+                'held_out_before_m': loop.before,
+                'held_out_after_m': loop.after,
+                'lowered_m2': loop.lowered,
+                'lowered_std_m2': loop.lowered_std,
+                'by_cells_m2': loop.by_cells if math.isfinite(loop.by_cells) else None,
+                'alike': list(loop.alike),
+                'verdict': loop.verdict,
+            }
+        )
+        if not loop.accepted:
+            break
+        settings = asked
+    return documents, settings
 
 
 def _study(

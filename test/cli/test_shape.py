@@ -192,6 +192,8 @@ def test_what_the_loop_accepts_is_what_is_simulated(
             verdict='spherical tool: asked for',
         )
         assert trials == 2
+        # What it asks for is accepted, and then nothing more.
+        found = replace(found, accepted=not settings.sphere)
         return found, replace(settings, sphere=True)
 
     def studied(_: Path, __: object, ___: object, settings: ShapeSettings) -> None:
@@ -206,11 +208,13 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     assert main([*arguments, '--close-loop', '--out', str(tmp_path / 'out')]) == 0
     assert used == [True, True]
     told = json.loads((tmp_path / 'out' / 'shapes.json').read_text())['loop']
-    assert told['accepted'] is True
-    assert told['misfit_m']['spherical tool'] == [2e-5, 3e-5]
+    assert [turn['accepted'] for turn in told] == [True, False]
+    assert told[0]['misfit_m']['spherical tool'] == [2e-5, 3e-5]
     printed = capsys.readouterr().out
     assert 'Accepted: spherical tool: asked for.' in printed
     assert '0.200 as declared, 0.025 with what the others choose' in printed
+    assert '0.200 as accepted so far' in printed
+    assert 'Not accepted' in printed
 
 
 def test_a_parameter_that_is_not_known_is_named(
