@@ -64,7 +64,7 @@ class NodeProcess:
     def __init__(self, name: str, arguments: list[str], log: Path) -> None:
         self.name = name
         self._log = log
-        executable = Path(sys.executable).with_name(name)
+        executable = Path(sys.executable).parent / name
         with log.open('wb') as output:
             self._process = subprocess.Popen(
                 [str(executable), *arguments], stdout=output, stderr=subprocess.STDOUT
@@ -274,7 +274,8 @@ def start_node(
     """
     Start node processes that end with the test, also with a failed one, and before their world.
 
-    ``start_node('load_cell_driver', {'frame_rate': 10.0}, '-r', '__ns:=/cell')``
+    ``start_node('load_cell_driver', {'frame_rate': 10.0}, '-r', '__ns:=/cell')``; a whole path
+    is that of a node that a test has made of one.
     """
     started: list[NodeProcess] = []
 

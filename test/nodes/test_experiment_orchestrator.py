@@ -16,10 +16,12 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+import json
 from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -35,8 +37,11 @@ from hapticvision_ros.bag.contract import (
     STOP,
 )
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.autonomy import Budget, Findings, Push
+from hapticvision_ros.core.experiment import Deadlines, Experiment, ExperimentGoal, Step
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.nodes.conversions import values_from_status
+from hapticvision_ros.nodes.experiment_orchestrator import ExperimentOrchestrator
 import pytest
 from std_srvs.srv import Trigger
 
@@ -60,7 +65,13 @@ def world() -> Iterator[int]:
 
 
 @pytest.fixture
-def cell(world: int, start_node: Any, tmp_path: Path) -> dict[str, Any]:
+def orchestrator() -> str:
+    """Return the orchestrator's executable, for a test to take another."""
+    return 'experiment_orchestrator'
+
+
+@pytest.fixture
+def cell(world: int, start_node: Any, tmp_path: Path, orchestrator: str) -> dict[str, Any]:
     """Start the nodes that an experiment needs."""
     port = {'simulated_world_port': world}
     goal = {
@@ -75,17 +86,22 @@ def cell(world: int, start_node: Any, tmp_path: Path) -> dict[str, Any]:
         'stream_deadline': 3.0,
         'feedback_period': 0.2,
     }
+    arm = {
+        'approach_speed': 0.03,
+        'release_speed': 0.02,
+        'zero_time': 0.2,
+        'tool_height_rate': 100.0,
+        'stale_time': 1.0,
+    }
     return {
         'load_cell_driver': start_node('load_cell_driver', port),
         'range_sensor_driver': start_node(
             'range_sensor_driver', port | {'width': 160, 'height': 120}
         ),
-        'arm_push_controller': start_node(
-            'arm_push_controller', port | {'tool_height_rate': 100.0, 'stale_time': 1.0}
-        ),
+        'arm_push_controller': start_node('arm_push_controller', port | arm),
         'contact_point_planner': start_node('contact_point_planner'),
         'rheology_fitter': start_node('rheology_fitter'),
-        'experiment_orchestrator': start_node('experiment_orchestrator', port | goal),
+        'experiment_orchestrator': start_node(orchestrator, port | goal),
     }
 
 
@@ -215,6 +231,96 @@ def test_an_orchestrator_that_is_stopped_stops_the_arm_and_tells_how_the_experim
     bag = Path(values['bag 1'])
     assert bag.name.endswith('_aborted')
     assert len(read_trial(bag).force) > 10
+
+
+CHOSEN = Push('separate', 0.008, 0.003, 0.4, ('a', 'b'), 8.0, 'a and b answer it differently')
+OPEN = Findings('explained', ('a',), (('a', 'b'),), {}, push=CHOSEN)
+ANALYSIS = f"""
+import sys
+sys.stdin.readline()
+print('doing much', flush=True)
+print('found', {json.dumps(json.dumps(OPEN.document()))})
+"""
+"""An analysis that asks for the same push each time."""
+ORCHESTRATOR = f"""#!{sys.executable}
+from functools import partial
+import sys
+from hapticvision_ros.nodes import experiment_orchestrator as node
+command = (sys.executable, '-c', {ANALYSIS!r})
+node.CampaignAnalysis = partial(node.CampaignAnalysis, command=command)
+sys.exit(node.main())
+"""
+
+
+class TestAnAutonomousExperiment:
+    """Its analysis is played: what it costs and finds is tested elsewhere."""
+
+    @pytest.fixture
+    def orchestrator(self, tmp_path: Path) -> str:
+        """Return an orchestrator whose analysis is played."""
+        path = tmp_path / 'orchestrator'
+        path.write_text(ORCHESTRATOR, encoding='utf-8')
+        path.chmod(0o755)
+        return str(path)
+
+    def test_it_makes_the_push_that_its_analysis_asks_for_and_keeps_why(
+        self, cell, probe, until, tmp_path
+    ):
+        results, feedback = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_FEEDBACK)
+        goal = {'depths': [0.003], 'hold_time': 0.4, 'recover_time': 0.4, 'autonomous': True}
+        goal |= {'budget_trials': 1}
+        answers = probe.set_parameters('experiment_orchestrator', goal)
+        assert all(answer.successful for answer in answers), answers
+        answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+        assert answer.success, answer.message
+        until(lambda: results, 'the result', SLOW)
+        values = values_from_status(results[-1])
+        assert values['status'] == 'SUCCEEDED', results[-1].message
+        assert (values['complete'], values['ending']) == ('2', 'budget spent')
+        assert values['sets'] == 'a or b'
+        told = [values_from_status(message) for message in feedback]
+        assert 'analyse' in {each['step'] for each in told}
+        assert CHOSEN.reason in {each['chosen because'] for each in told}
+
+        bag = Path(values['bag 2'])
+        assert bag.name == 'trial_002_8.0mm_s_3mm_r1'
+        trial = read_trial(bag)
+        assert trial.provenance['chosen_because'] == CHOSEN.reason
+        assert [phase for _, phase in trial.phases][-1] == 'done'
+        kept = json.loads((bag.parent / 'autonomous.json').read_text())
+        assert [(each['trials'], each['ending']) for each in kept] == [
+            (1, None),
+            (2, 'budget spent'),
+        ]
+        assert kept[0]['push']['push_speed'] == CHOSEN.push_speed
+        names = {path.name for path in bag.parent.iterdir()}
+        assert names == {Path(values['bag 1']).name, bag.name, 'autonomous.json'}
+
+
+def test_an_analysis_that_takes_too_long_is_kept_too(ros, tmp_path, monkeypatch):
+    goal = ExperimentGoal((0.01,), (0.003,), 1, 0.4, 0.4, 0.1, budget=Budget(1))
+    deadlines = Deadlines(service=1.0, approach=1.0, margin=1.0, analysis=30.0)
+    experiment = Experiment(goal, deadlines, max_failures=1, now=0.0)
+    experiment.begin(0.0)
+    while experiment.step is not Step.FINISH:
+        experiment.done(0.0)
+    experiment.recorded(str(tmp_path), (), time.monotonic() - 31.0)
+    assert experiment.step is Step.ANALYSE
+    node = ExperimentOrchestrator()
+    try:
+        for name in ('_enter', '_report'):
+            monkeypatch.setattr(node, name, lambda *_: None)
+        monkeypatch.setattr(node, '_experiment', experiment)
+        monkeypatch.setattr(node, '_folder', tmp_path)
+        node._on_tick()
+        monkeypatch.undo()
+        (kept,) = json.loads((tmp_path / 'autonomous.json').read_text())
+        assert (kept['trials'], kept['found']) == (1, None)
+        assert kept['ending'] == 'the analysis failed'
+        assert kept['reason'].startswith('waited 30 s for ')
+    finally:
+        node.close()
+        node.destroy_node()
 
 
 def client(*arguments: str) -> subprocess.CompletedProcess[str]:
