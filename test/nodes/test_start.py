@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The process of a node before the node has handlers of its own."""
+"""The process of a node before the node has handlers of its own, and its first words."""
 
 import signal
 import subprocess
@@ -52,3 +52,26 @@ def test_a_node_that_is_interrupted_while_it_imports_says_nothing(code, at) -> N
     )
     assert (done.stdout, done.stderr) == ('interrupted\n', '')
     assert done.returncode == -signal.SIGINT
+
+
+WARN = """
+import time
+from hapticvision_ros.nodes.load_cell_driver import NAME, PARAMETERS
+from hapticvision_ros.nodes.runtime import CellNode
+import rclpy
+rclpy.init(args=[])
+node = CellNode(NAME, PARAMETERS)
+for _ in range(2):
+    began = time.thread_time()
+    node.get_logger().warning('a gap')
+    print(time.thread_time() - began)
+"""
+
+
+def test_the_first_warning_of_a_node_does_not_keep_its_thread_from_a_sensor() -> None:
+    # It looked for its caller in all modules: 40 times as long as the next one.
+    done = subprocess.run(
+        [sys.executable, '-c', WARN], capture_output=True, text=True, timeout=60, check=True
+    )
+    first, second = map(float, done.stdout.split())
+    assert first < 10.0 * second
