@@ -277,6 +277,9 @@ def close_loop(
         else:
             profiles[name] = made
     loop = judge(profiles)
+    failed = [name for name in asked if name not in profiles]
+    if failed:
+        loop = replace(loop, verdict=f'{loop.verdict}; {", ".join(failed)} could not be simulated')
     return loop, asked[loop.chosen] if loop.accepted else settings
 
 
