@@ -298,6 +298,7 @@ _NEXT: Final = {
     Step.STOP: Step.FINISH,
 }
 ARM_ABORTED: Final = 'the arm aborted the push'
+LEFT_LOW: Final = 'the tool may have been left low: see to it'
 _RECORDING: Final = (Step.RECORD, Step.START, Step.PUSH)
 _PUSHED: Final = (Step.STOP, Step.FINISH, Step.ANALYSE, Step.DISABLE, Step.END)
 """Steps in which the trial at hand has been pushed."""
@@ -373,6 +374,9 @@ class Experiment:
         self._index = 0
         self._trial_reason = ''
         self._trial_failed = False
+        # Whether the tool may be low: also where the arm has said "aborted", since it may have
+        # lost its height, or its controller was ended.
+        self._low = False
         self._then: Step | None = None
         self._step = Step.BRING_UP
         self.entered = now
@@ -434,8 +438,7 @@ class Experiment:
             # No push follows whose goal the cell might not allow.
             self._enter(Step.ENABLE, now)
         elif self._step is Step.RETRACT:
-            # The tool is up, and what the arm said of its last push is over.
-            self.arm_phase = None
+            self._low = False
             step, self._then = self._then or _NEXT[self._step], None
             self._enter(step, now)
         elif self._step is Step.REST:
@@ -497,6 +500,7 @@ class Experiment:
         self.arm_phase = name
         if self._step not in (Step.START, Step.PUSH, Step.STOP):
             return
+        self._low = name != 'done'
         if name == 'aborted':
             self._fail_trial(ARM_ABORTED)
         if name in ('done', 'aborted') and self._step in (Step.PUSH, Step.STOP):
@@ -669,11 +673,8 @@ class Experiment:
 
     def _return(self, then: Step, now: float) -> None:
         """Go to a step, by a retraction if the tool may have been left low."""
-        # Also an arm that has said "aborted" may have left its tool low: it may have lost its
-        # height, or its controller was ended.
-        low = self.arm_phase not in (None, 'done')
-        self._then = then if low else None
-        self._enter(Step.BRING_UP if low else then, now)
+        self._then = then if self._low else None
+        self._enter(Step.BRING_UP if self._low else then, now)
 
     def _fail_trial(self, reason: str) -> None:
         """Mark the trial at hand; its first reason stands."""
@@ -689,6 +690,7 @@ class Experiment:
         if step is Step.START:
             # The latched phase of the push before must not end this one.
             self.arm_phase = None
+            self._low = True
         self._step = step
         self.waiting_for = ''
         self.held_up = 0.0
@@ -707,3 +709,5 @@ class Experiment:
         else:
             self.status = GoalStatus.ABORTED
             self.reason = f'no trial is complete: {self.outcomes[-1].reason}'
+        if self._low:
+            self.reason = f'{self.reason.rstrip(".")}; {LEFT_LOW}'

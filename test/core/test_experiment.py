@@ -240,7 +240,8 @@ def test_an_arm_that_does_not_come_back_is_not_waited_for_twice():
     experiment.recorded('/bags/a', (), 7.0)
     experiment.tick(13.0)
     assert experiment.step is Step.END
-    assert experiment.reason == '/arm/tool_height has been silent'
+    low = 'the tool may have been left low: see to it'
+    assert experiment.reason == f'/arm/tool_height has been silent; {low}'
 
 
 def test_a_stream_that_falls_silent_costs_one_trial_only():
@@ -463,11 +464,14 @@ def test_a_tool_left_low_is_retracted_before_the_trials_are_analysed():
     assert experiment.time_left(2.0) == 0.0
     gone = steps_until(experiment, Step.ANALYSE, 3.0)
     assert gone == [Step.BRING_UP, Step.ENABLE, Step.RETRACT]
+    # So ends the retraction of a controller that was started again.
+    experiment.phase('aborted', 3.0)
     experiment.found(CLOSED, 4.0)
     # It is up: nothing is to be seen to any more.
     assert experiment.step is Step.DISABLE
     experiment.done(5.0)
     assert experiment.status is GoalStatus.SUCCEEDED
+    assert experiment.reason == ''
 
 
 def test_a_cancel_while_the_tool_is_seen_to_ends_without_the_analysis():
@@ -484,7 +488,7 @@ def test_an_arm_that_does_not_come_back_ends_the_experiment_before_its_analysis(
     experiment.tick(8.0)
     assert experiment.step is Step.END
     assert experiment.status is GoalStatus.ABORTED
-    assert experiment.reason == 'the arm aborted the push'
+    assert experiment.reason.startswith('the arm aborted the push; the tool may have been left')
 
 
 def test_motion_is_forbidden_after_a_retraction_that_was_refused():
