@@ -80,12 +80,10 @@ class Tangent:
         The campaign.
     base : Refit
         The model.
-    known : bool
-        Whether what is known of the parameters beforehand holds them back.
 
     """
 
-    def __init__(self, bench: Workbench, base: Refit, *, known: bool = True) -> None:
+    def __init__(self, bench: Workbench, base: Refit) -> None:
         self._whiteners = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
         problem = base.problem
         blocks = []
@@ -98,7 +96,6 @@ class Tangent:
             block[:, place] = own.T
             blocks.append(block)
         prior, _ = problem.priors(base.state)
-        prior = prior if known else prior[:0]
         self._priors = prior.shape[0]
         jacobian = np.vstack((*blocks, prior))
         scale = np.sqrt(np.sum(jacobian**2, axis=0))

@@ -264,13 +264,12 @@ class _Search:
     def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:
         """Return the effects that the trials can show, and those that they cannot."""
         seen, hidden = list[str](), list[str]()
-        # Each trial tells where it touches: an offset of all that it detects is never seen.
-        tangent = Tangent(bench, base, known=False)
+        tangent = Tangent(bench, base)
         for effect in EFFECTS:
             if effect.name == LINE and not self.line:
                 # Without a line in the spectrum a sine would only follow slow noise.
                 continue
-            shown = visible(bench, base, tangent, effect.name)
+            shown = not effect.nuisance and visible(bench, base, tangent, effect.name)
             (seen if shown else hidden).append(effect.name)
         return seen, hidden
 

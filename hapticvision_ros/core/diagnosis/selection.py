@@ -52,12 +52,16 @@ _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _QUICK_GATE: Final = 20.0
 """Gain, and lead, of what draws jumps out over less than a sample."""
+_AT_ONCE: Final = 0.03
+"""Samples within which what draws a jump out does not show."""
 _QUICK_NEAR: Final = 0.75
 """Part of the gain of what does so from which on another is like it, however low the noise is."""
 _CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
+_ROUGH: Final = 3
+"""Starts above which a parameter is one that a search does not find its way to."""
 _MOST: Final = 3
 """Effects that are added at most."""
 _CONTEST: Final = 3
@@ -152,11 +156,16 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
     How a load cell takes its samples, and how exactly the moments are known at which the tool
     starts and stops, does the same: the sample is that of the slower of the two.
     """
+    return _samples(bench, refit, effect) < 1.0
+
+
+def _samples(bench: Workbench, refit: Refit, effect: str) -> float:
+    """Return over how many samples an effect draws jumps out; infinite if that is not its kind."""
     time_constant = BY_NAME[effect].time_constant
     if time_constant is None:
-        return False
+        return math.inf
     trial = bench.trials[0]
-    return time_constant(_values(refit)) < max(trial.interval, trial.path.interval)
+    return time_constant(_values(refit)) / max(trial.interval, trial.path.interval)
 
 
 def resolved(bench: Workbench) -> bool:
@@ -253,7 +262,14 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     """Return a candidate after a longer search."""
     if found.refit is None or found.gain < GATE:
         return found
-    again = bench.refit(found.refit.model, found.refit)
+    near = found.refit
+    if any(len(p.scan) > _ROUGH for p in BY_NAME[found.effect].parameters):
+        # Looked for anew where the noise is known better.
+        noise = (near.force_noise, near.height_noise, near.blur, near.jumps)
+        near = replace(
+            without, force_noise=noise[0], height_noise=noise[1], blur=noise[2], jumps=noise[3]
+        )
+    again = bench.refit(found.refit.model, near)
     if again is None or again.deviance >= found.refit.deviance:
         return found
     score = max(without.deviance - again.deviance, 0.0)
@@ -327,7 +343,19 @@ def select(
         if fleeting(bench, good[0].refit, leader.effect):
             # What is over within a sample looks much the same, whatever it is.
             enough = min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
-        alike = tuple(each.effect for each in good if each.gain > enough)
+        near = [each.effect for each in good if each.gain > enough]
+        # A unit that is quicker than the samples is a spring with a parameter too many.
+        alike = tuple(
+            each.effect
+            for each in good
+            if each.effect in near
+            and not (
+                each is not leader
+                and each.refit is not None
+                and fleeting(bench, each.refit, each.effect)
+                and set(BY_NAME[each.effect].generalises) & set(near)
+            )
+        )
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
@@ -345,7 +373,9 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > _CERTAIN
             return seen and each.gain > GATE
-        return shown and each.gain > _QUICK_GATE and each.strength > weakest
+        # What is over at once only changes what a jump is said to be.
+        shown_here = shown and _samples(bench, refit, each.effect) > _AT_ONCE
+        return shown_here and each.gain > _QUICK_GATE and each.strength > weakest
 
     return [
         each

@@ -43,11 +43,15 @@ EFFECT = Effect(
             scan=(1.0, -1.0),
         ),
     ),
-    validity='The same offset in every trial, as a threshold on the force makes it.',
+    validity=(
+        'The same offset in every trial, as a threshold on the force makes it. The fit finds the '
+        'touch of each trial for itself, and with it what all have in common.'
+    ),
     signature='The force and the height start too early or too late at the touch, in every trial.',
     source=(
         'D. C. Lin, E. K. Dimitriadis and F. Horkay, J. Biomech. Eng. 129, 2007, 430-440, '
         'doi:10.1115/1.2720924 (contact point as a parameter of the fit).'
     ),
     shape=_shape,
+    nuisance=True,
 )

@@ -285,6 +285,10 @@ class Effect:
         For an effect that comes again and again: after which time, from the same [s].
     extra : bool
         Whether it is none of the bag contract's: it is looked for where those do not suffice.
+    generalises : tuple of str
+        Effects that it becomes where it acts within a sample.
+    nuisance : bool
+        Whether each trial finds it for itself in any case, so that no campaign can show it.
 
     """
 
@@ -303,6 +307,8 @@ class Effect:
     time_constant: Callable[[Mapping[str, float]], float] | None = None
     period: Callable[[Mapping[str, float]], float] | None = None
     extra: bool = False
+    generalises: tuple[str, ...] = ()
+    nuisance: bool = False
 
 
 def dashpots(values: Mapping[str, float]) -> float:

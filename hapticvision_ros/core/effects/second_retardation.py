@@ -68,4 +68,5 @@ EFFECT = Effect(
     ),
     shape=_shape,
     time_constant=lambda values: values['C_3'] / values['K_2'],
+    generalises=('series_spring',),
 )
