@@ -302,8 +302,9 @@ def test_an_analysis_that_takes_too_long_is_kept_too(ros, tmp_path, monkeypatch)
     deadlines = Deadlines(service=1.0, approach=1.0, margin=1.0, analysis=30.0)
     experiment = Experiment(goal, deadlines, max_failures=1, now=0.0)
     experiment.begin(0.0)
-    while experiment.step is not Step.FINISH:
+    while experiment.step is not Step.PUSH:
         experiment.done(0.0)
+    experiment.phase('done', 0.0)
     experiment.recorded(str(tmp_path), (), time.monotonic() - 31.0)
     assert experiment.step is Step.ANALYSE
     node = ExperimentOrchestrator()
