@@ -866,15 +866,11 @@ class ExperimentOrchestrator(CellNode):
             experiment.done(now)
 
     def _on_recording(self, experiment: Experiment, now: float) -> None:
-        """Go on when the bag is open and both streams come in."""
+        """Go on when the bag is open and all that a trial needs comes in."""
         assert self._recording is not None
         self._watch_disk(experiment, now)
         if experiment.step is Step.RECORD and self._recording.opened:
-            silent = [
-                topic.name
-                for topic in (WRENCH, TOOL_HEIGHT)
-                if not self._recording.counts[topic.name]
-            ]
+            silent = missing_topics(self._recording.counts)
             if silent:
                 experiment.waiting_for = f'{" and ".join(silent)}: see whether the drivers run'
             else:

@@ -14,6 +14,7 @@
 
 """The experiment orchestrator with the real nodes and the simulated cell, each a process."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 import json
@@ -22,6 +23,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -32,9 +34,12 @@ from hapticvision_ros.bag.contract import (
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
     PHASE,
+    POINTS,
     RHEOLOGY_RESULT,
     START_EXPERIMENT,
     STOP,
+    TOOL_HEIGHT,
+    WRENCH,
 )
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.autonomy import Budget, Findings, Push
@@ -297,31 +302,54 @@ class TestAnAutonomousExperiment:
         assert names == {Path(values['bag 1']).name, bag.name, 'autonomous.json'}
 
 
-def test_an_analysis_that_takes_too_long_is_kept_too(ros, tmp_path, monkeypatch):
+def came_to(step: Step) -> Experiment:
+    """Return an autonomous experiment of one push whose step this is."""
     goal = ExperimentGoal((0.01,), (0.003,), 1, 0.4, 0.4, 0.1, budget=Budget(1))
     deadlines = Deadlines(service=1.0, approach=1.0, margin=1.0, analysis=30.0)
     experiment = Experiment(goal, deadlines, max_failures=1, now=0.0)
     experiment.begin(0.0)
-    while experiment.step is not Step.PUSH:
+    while experiment.step is not step:
         experiment.done(0.0)
+    return experiment
+
+
+@pytest.fixture
+def node(ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Return an orchestrator in the test process, with a folder for its bags."""
+    made = ExperimentOrchestrator()
+    monkeypatch.setattr(made, '_folder', tmp_path)
+    yield made
+    monkeypatch.undo()
+    made.close()
+    made.destroy_node()
+
+
+def test_an_analysis_that_takes_too_long_is_kept_too(node, tmp_path, monkeypatch):
+    experiment = came_to(Step.PUSH)
     experiment.phase('done', 0.0)
     experiment.recorded(str(tmp_path), (), time.monotonic() - 31.0)
     assert experiment.step is Step.ANALYSE
-    node = ExperimentOrchestrator()
-    try:
-        for name in ('_enter', '_report'):
-            monkeypatch.setattr(node, name, lambda *_: None)
-        monkeypatch.setattr(node, '_experiment', experiment)
-        monkeypatch.setattr(node, '_folder', tmp_path)
-        node._on_tick()
-        monkeypatch.undo()
-        (kept,) = json.loads((tmp_path / 'autonomous.json').read_text())
-        assert (kept['trials'], kept['found']) == (1, None)
-        assert kept['ending'] == 'the analysis failed'
-        assert kept['reason'].startswith('waited 30 s for ')
-    finally:
-        node.close()
-        node.destroy_node()
+    for name in ('_enter', '_report'):
+        monkeypatch.setattr(node, name, lambda *_: None)
+    monkeypatch.setattr(node, '_experiment', experiment)
+    node._on_tick()
+    (kept,) = json.loads((tmp_path / 'autonomous.json').read_text())
+    assert (kept['trials'], kept['found']) == (1, None)
+    assert kept['ending'] == 'the analysis failed'
+    assert kept['reason'].startswith('waited 30 s for ')
+
+
+def test_no_push_is_made_before_all_that_a_trial_needs_comes_in(node, monkeypatch):
+    experiment = came_to(Step.RECORD)
+    counts = Counter({WRENCH.name: 5, TOOL_HEIGHT.name: 5})
+    recording = SimpleNamespace(opened=True, error=None, counts=counts)
+    monkeypatch.setattr(node, '_recording', recording)
+    node._on_recording(experiment, 0.0)
+    assert experiment.step is Step.RECORD
+    assert experiment.waiting_for.startswith('/range_sensor/points or ')
+    counts[POINTS.name] += 1
+    node._on_recording(experiment, 0.0)
+    assert experiment.step is Step.START
 
 
 def client(*arguments: str) -> subprocess.CompletedProcess[str]:
