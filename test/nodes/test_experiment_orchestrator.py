@@ -105,7 +105,6 @@ def cell(world: int, start_node: Any, tmp_path: Path, orchestrator: str) -> dict
         ),
         'arm_push_controller': start_node('arm_push_controller', port | arm),
         'contact_point_planner': start_node('contact_point_planner'),
-        'rheology_fitter': start_node('rheology_fitter'),
         'experiment_orchestrator': start_node(orchestrator, port | goal),
     }
 
@@ -121,8 +120,9 @@ def states(heard: list[Any], goal_id: str) -> list[int]:
 
 
 def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_fits_agree(
-    cell, probe, until
+    cell, start_node, probe, until
 ):
+    start_node('rheology_fitter')
     results, told = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_STATUS)
     feedback, fits = probe.listen(EXPERIMENT_FEEDBACK), probe.listen(RHEOLOGY_RESULT)
     phases = probe.listen(PHASE)
