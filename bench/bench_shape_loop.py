@@ -29,12 +29,15 @@ import json
 from pathlib import Path
 import tempfile
 import time
+from typing import Any, ClassVar
 
 from hapticvision_ros.cli.main import main as hapticvision
 from hapticvision_ros.core.units import MM
+from hapticvision_ros.sim import offline
 from hapticvision_ros.sim.config import load_config, SoftBodyModel
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.offline import CloudPlan, record_trial, TrialPlan
+import numpy as np
 
 MATERIAL = Material(2000.0, 1600.0, 2400.0)
 USUAL = SoftBodyModel(pitch=0.005, step=5e-4, volume_ratio=1.0)
@@ -45,19 +48,41 @@ WORLDS = {
     'slides on the support': replace(USUAL, slides=True),
     'spherical tool': replace(USUAL, sphere=True),
     'ratio 0 and slides': replace(USUAL, volume_ratio=0.0, slides=True),
+    'spherical tool of 12 mm': replace(USUAL, sphere=True),
 }
+RADII = {'spherical tool of 12 mm': 0.012}
+"""Where it is not 8 mm [m]."""
+LENGTH, WIDTH, HEIGHT = 0.060, 0.040, 0.020
 PUSHES = ((0.005, 0.003), (0.004, 0.004), (0.008, 0.0035))
 """Speeds [m/s] and depths [m]."""
 
 
-def record(folder: Path, model: SoftBodyModel, seed: int) -> list[str]:
+class Kept(offline.World):
+    """A world that is kept after its trial: it alone knows the truth."""
+
+    made: ClassVar[list[offline.World]] = []
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        Kept.made.append(self)
+
+
+def truth(world: offline.World) -> tuple[float, float]:
+    """Return the depth of the dent and the bulge of the side that faces the sensor [m]."""
+    assert world.soft is not None
+    rest, points = world.soft.rest, world.soft.points
+    facing = (rest[:, 1] == -0.5 * WIDTH) & (np.abs(rest[:, 2] / HEIGHT - 0.5) < 0.3)
+    return world.displacement, float((rest - points)[facing, 1].mean())
+
+
+def record(folder: Path, model: SoftBodyModel, radius: float, seed: int) -> list[str]:
     """Make the bags of a world."""
     cell = load_config()
     cell = replace(
         cell,
-        block=replace(cell.block, length=0.060, width=0.040, height=0.020, rim_width=0.004),
+        block=replace(cell.block, length=LENGTH, width=WIDTH, height=HEIGHT, rim_width=0.004),
         load_cell=replace(cell.load_cell, rate=250.0),
-        arm=replace(cell.arm, state_rate=100.0, tool_radius=0.008, start_height=0.042),
+        arm=replace(cell.arm, state_rate=100.0, tool_radius=radius, start_height=0.042),
         range_sensor=replace(cell.range_sensor, rate=5.0, field_of_view=0.21, table_size=0.1),
         soft_body=model,
     )
@@ -79,23 +104,25 @@ def main() -> None:
     parser.add_argument('--rounds', default='3')
     parser.add_argument('--seed', type=int, default=1)
     args = parser.parse_args()
+    offline.World = Kept
     for k, (name, model) in enumerate(WORLDS.items()):
         if args.worlds is not None and k not in args.worlds:
             continue
         began = time.process_time()
+        Kept.made.clear()
         with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(io.StringIO()):
             folder = Path(place)
-            bags = record(folder, model, args.seed)
+            radius = RADII.get(name, 0.008)
+            bags = record(folder, model, radius, args.seed)
             fit, out = folder / 'fit', folder / 'shape'
             hapticvision(['fit', *bags, '--model', 'three-element', '--out', str(fit)])
-            command = ['shape', str(fit / 'result.json'), *bags, '--tool-radius', '8mm']
+            command = ['shape', str(fit / 'result.json'), *bags, '--tool-radius', f'{radius}']
             command += ['--size', '60x40x20mm', '--cell', args.cell, '--rounds', args.rounds]
             hapticvision([*command, '--close-loop', '--out', str(out)])
             told = json.loads((fit / 'result.json').read_text())['before']['parameters']
             table = json.loads((out / 'shapes.json').read_text())
-            bulges = [
-                json.loads((out / Path(bag).name / 'shape.json').read_text())['bulge_m']
-                for bag in bags
+            shapes = [
+                json.loads((out / Path(bag).name / 'shape.json').read_text()) for bag in bags
             ]
         print(f'## {name} ({time.process_time() - began:.0f} s)')
         print({one: round(told[one]['value']) for one in told})
@@ -109,11 +136,17 @@ def main() -> None:
                 f'cells {loop["by_cells_m2"] / MM**2:.5f} mm2'
             )
             print(f'{"accepted" if loop["accepted"] else "not accepted"}: {loop["verdict"]}')
-        print(
-            'bulge [mm], measured and simulated:',
-            *(f'{b["measured"] / MM:.3f} {b["simulated"] / MM:.3f};' for b in bulges),
-            flush=True,
-        )
+        true = [truth(world) for world in Kept.made]
+        for k, what in enumerate(('residual', 'bulge')):
+            print(
+                f'{what} [mm], true, measured, simulated:',
+                *(
+                    f'{one[k] / MM:.3f} {shape[f"{what}_m"]["measured"] / MM:.3f} '
+                    f'{shape[f"{what}_m"]["simulated"] / MM:.3f};'
+                    for one, shape in zip(true, shapes, strict=True)
+                ),
+                flush=True,
+            )
 
 
 if __name__ == '__main__':

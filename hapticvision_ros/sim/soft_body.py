@@ -35,7 +35,11 @@ type Integers = NDArray[np.int64]
 _SHARES: Final = {1: 1.0 / 4.0, 2: 1.0 / 4.0, 3: 3.0 / 16.0}
 """What a cell gives an edge, a diagonal of a face, a diagonal of the body."""
 _MARGIN: Final = 1.5
-"""Of the masses over those that the step just bears."""
+_CALM: Final = 2.2
+"""
+Of the masses over those that the step just bears, and so that nothing swings from step to step,
+which would let links flow that are kept from it by a threshold.
+"""
 _FREE: Final = 3
 _UPRIGHT: Final = 2
 _GLUED: Final = 0
@@ -146,7 +150,8 @@ class SoftBody:
         # and from its frequency.
         viscous = 9.0 * dashpot + 12.0 * material.bulk_viscosity * pitch
         elastic = 9.0 * material.spring + 12.0 * material.bulk * pitch
-        mass = _MARGIN * (0.5 * viscous * step + 0.25 * elastic * step**2)
+        margin = _CALM if material.threshold > 0.0 else _MARGIN
+        mass = margin * (0.5 * viscous * step + 0.25 * elastic * step**2)
         self._numbers = np.array(
             [
                 material.spring,
