@@ -185,6 +185,7 @@ def fit_bags(
             analyses[count:],
             model=model,
             progress=progress,
+            workers=len(os.sched_getaffinity(0)),
             bootstrap=bootstrap,
         )
 
