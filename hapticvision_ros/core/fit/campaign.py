@@ -119,6 +119,8 @@ _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
+_TURNS: Final = 5
+"""Periods in a trial below which a line is none: anything smooth has such."""
 _FAST: Final = frozenset({'periodic_disturbance'})
 """Effects that live within the steps that a trial is averaged over."""
 
@@ -1371,7 +1373,7 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
         piece = residual[-length:] - residual[-length:].mean()
         power = np.abs(np.fft.rfft(piece * np.hanning(length))) ** 2
         total = power if total.size == 0 else total + power
-    total[:3] = 0.0
+    total[:_TURNS] = 0.0
     peak = int(np.argmax(total / _background(total)))
     places = np.arange(max(peak - 1, 0), min(peak + 2, total.size))
     around = total[places]
@@ -1404,6 +1406,9 @@ def _background(power: FloatArray) -> FloatArray:
     blocks = power[: power.size // size * size].reshape(-1, size)
     centres = (np.arange(blocks.shape[0]) + 0.5) * size
     middle = np.interp(np.arange(power.size), centres, np.median(blocks, axis=1))
+    # What is smooth in time falls off with the frequency: the slower, the nearer are its likes.
+    for place in range(_TURNS, min(2 * _NEIGHBOURS, power.size)):
+        middle[place] = np.median(power[max(place // 2, _TURNS) : 2 * place + 1])
     return np.maximum(middle, 1e-300)
 
 
