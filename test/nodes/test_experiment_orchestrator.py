@@ -47,6 +47,7 @@ from hapticvision_ros.core.experiment import Deadlines, Experiment, ExperimentGo
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.nodes.conversions import values_from_status
 from hapticvision_ros.nodes.experiment_orchestrator import ExperimentOrchestrator
+import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
@@ -161,10 +162,13 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
     offline = analyse(trial)
     until(lambda: fits, 'the live fit', START)
     live = values_from_status(fits[-1])
-    # The live fit has some tenths of a second of recovery more than the bag: no news of the push.
-    for name in ('depth_m', 'push_speed_m_s'):
-        expected = getattr(offline.segmentation, name.partition('_m')[0])
-        assert float(live[name]) == pytest.approx(expected, rel=1e-3), name
+    # The live fit has some tenths of a second of recovery more than the bag: no news of the push,
+    # but its silence may place the touch a sample or two away.
+    phases_found = offline.segmentation
+    assert phases_found.push_speed is not None
+    sample = phases_found.push_speed * float(np.median(np.diff(trial.force.t)))
+    assert float(live['push_speed_m_s']) == pytest.approx(phases_found.push_speed, rel=1e-3)
+    assert float(live['depth_m']) == pytest.approx(phases_found.depth, abs=2.0 * sample)
 
     refused = probe.call(START_EXPERIMENT, Trigger.Request(), START)
     assert not refused.success, 'nothing is overwritten'

@@ -1408,7 +1408,8 @@ def _background(power: FloatArray) -> FloatArray:
     middle = np.interp(np.arange(power.size), centres, np.median(blocks, axis=1))
     # What is smooth in time falls off with the frequency: the slower, the nearer are its likes.
     for place in range(_TURNS, min(2 * _NEIGHBOURS, power.size)):
-        middle[place] = np.median(power[max(place // 2, _TURNS) : 2 * place + 1])
+        near = slice(max(place // 2, _TURNS), 2 * place + 1)
+        middle[place] = np.median(power[near])
     return np.maximum(middle, 1e-300)
 
 
