@@ -305,7 +305,8 @@ def test_a_reading_with_a_stamp_far_from_now_is_left_out_and_counted(
     until(lambda: len(heard) >= 50, 'readings')
     link.ask('distort', stream='force', how='garbage')
     told = status.wait('readings', lambda s: 'far off' in s.message, 'the readings left out')
-    assert told.level == DiagnosticStatus.WARN
+    # Garbage may read as a force beyond the range as well.
+    assert told.level in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
     assert int(values_from_status(told)['far_off']) > 0
     seen = len(heard)
     link.ask('heal')

@@ -274,9 +274,10 @@ class Pressed:
 
     def resolved(self, since: float) -> float:
         """Return the longest step that shows how a series spring relaxes after a corner [s]."""
-        if not self.ends.size:
-            return math.inf
         law = self.law
+        # Without the dashpot nothing holds a series spring back.
+        if not self.ends.size or law.bounce_viscosity == 0.0:
+            return math.inf
         dashpots = 1.0 / (1.0 / law.bounce_viscosity + 1.0 / law.flow_viscosity)
         return _FRESH * dashpots / law.series_stiffness + _LATER * since
 

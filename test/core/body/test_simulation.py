@@ -240,6 +240,13 @@ def test_an_effect_changes_the_body(law: LinkLaw, plain: BodyRun) -> None:
     assert np.abs(change).max() > 1e-5 or np.abs(force).max() > 0.01 * base.force.max()
 
 
+def test_two_springs_in_series_are_one_where_no_dashpot_is_beside_the_first() -> None:
+    two = simulate(CUBE, replace(SPRING, series_stiffness=K), DISC, TRIAL, accuracy=QUICK)
+    one = simulate(CUBE, replace(SPRING, stiffness=0.5 * K), DISC, TRIAL, accuracy=QUICK)
+    held = [float(np.interp(20.0, run.t[1:], run.force)) for run in (two, one)]
+    assert held[0] == pytest.approx(held[1], rel=1e-3)
+
+
 def test_a_tool_beside_the_body_is_refused() -> None:
     with pytest.raises(InputError, match='does not meet the body'):
         simulate(BLOCK, LAW, Tool(0.01, 0.1, 0.0), TRIAL)
