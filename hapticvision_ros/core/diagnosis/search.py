@@ -39,6 +39,8 @@ from hapticvision_ros.core.diagnosis.records import (
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
+    CERTAIN,
+    drawn_out,
     eliminate,
     LEAD,
     Round,
@@ -236,7 +238,11 @@ class _Search:
                 status = 'partly_explained'
                 named = [_widened(each) for each in sets]
         unexplained = self._unexplained(bench, base, chosen, rest)
-        if not rest:
+        drawn = self._drawn_out(bench, base, chosen, rounds[-1])
+        if not rest and drawn is not None:
+            status, unexplained = 'partly_explained' if order else 'unexplained', drawn
+            named = [_widened(each) for each in sets]
+        elif not rest:
             loud = louder(chosen, self.phases)
             if loud:
                 # What is left has no smooth form, and has passed for noise.
@@ -344,6 +350,26 @@ class _Search:
             and found.strength > least
             and found.share > _LEAST_SHARE
         )
+
+    def _drawn_out(
+        self, bench: Workbench, base: Refit, chosen: Refit, last: Round
+    ) -> Unexplained | None:
+        """Say what the encoders are too slow to show; return it where it is beyond doubt."""
+        tried = drawn_out(bench, last.candidates)
+        if not tried:
+            return None
+        names = ' or '.join(each.effect for each in tried)
+        interval = 1e3 * bench.trials[0].path.interval
+        what = (
+            f'the force is drawn out where it jumps, as {names} would do it: with a tool height '
+            f'every {interval:.3g} ms this cannot be told from how the arm starts and stops'
+        )
+        self.warnings.append(what)
+        if tried[0].gain < CERTAIN:
+            return None
+        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        left = tried[0].strength
+        return Unexplained(share_of_chi2=left**2 / (left**2 + taken**2), where=(what,))
 
     def _next(
         self,

@@ -56,7 +56,7 @@ _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
 _QUICK_NEAR: Final = 0.75
 """Part of the gain of what does so from which on another is like it, however low the noise is."""
-_CERTAIN: Final = 100.0
+CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
@@ -371,7 +371,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
         if not fleeting(bench, refit, each.effect):
             seen = each.strength > weakest
             # What acts for a short while, such as adhesion, is weak over whole trials.
-            seen |= not strongest and each.gain > _CERTAIN
+            seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
         # What is over at once only changes what a jump is said to be.
         shown_here = shown and _samples(bench, refit, each.effect) > _AT_ONCE
@@ -384,6 +384,36 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
         and enough(each, each.refit)
         and not seldom(bench, each.refit, each.effect)
     ]
+
+
+def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ...]:
+    """
+    Return the effects that draw jumps out and are refused for what the encoders do not show.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    tried : sequence of Trialled
+        Candidates beside a model.
+
+    Returns
+    -------
+    tuple of Trialled
+        Those that would be accepted if the encoders showed how the arm stops.
+
+    """
+    if resolved(bench):
+        return ()
+    return tuple(
+        each
+        for each in tried
+        if each.refit is not None
+        and fleeting(bench, each.refit, each.effect)
+        and _samples(bench, each.refit, each.effect) > _AT_ONCE
+        and each.gain > _QUICK_GATE
+        and each.strength > WEAKEST
+    )
 
 
 def _against(tried: Sequence[Trialled], old: Refit, new: Refit) -> tuple[Trialled, ...]:

@@ -178,3 +178,19 @@ def test_neither_do_the_names_of_the_trials(few: Any, names: str) -> None:
         found,
         diagnose([(replace(t, name=name), p) for name, (t, p) in zip(names, pairs, strict=True)]),
     )
+
+
+def test_what_slow_encoders_do_not_show_is_told_and_not_named(world: Any) -> None:
+    campaign = world.campaign()
+    slow = replace(campaign.sensors, force_rate=500.0, tool_rate=50.0)
+    spring = Undeclared('series_spring', (1.0e5,))
+    measured = world.measure(replace(campaign, sensors=slow), spring, seed=3)
+    found = diagnose(measured.pairs)
+    assert found.effects == ()
+    assert found.status == 'unexplained'
+    assert found.unexplained is not None
+    (told,) = found.unexplained.where
+    assert 'drawn out' in told
+    assert 'series_spring' in told
+    assert 'every 20 ms' in told
+    assert told in found.warnings
