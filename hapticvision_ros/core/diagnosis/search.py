@@ -80,6 +80,8 @@ _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_SHARE: Final = 0.03
 """A rest takes at least this part out of the residual of its phase."""
+_LOUD_JUMPS: Final = 0.5
+"""Change over the noise from which on jumps that are drawn out are beyond what encoders miss."""
 _LEAST_REST: Final = 0.05
 """A rest below this share of the noise is of no consequence."""
 
@@ -365,7 +367,7 @@ class _Search:
             f'every {interval:.3g} ms this cannot be told from how the arm starts and stops'
         )
         self.warnings.append(what)
-        if tried[0].gain < CERTAIN:
+        if tried[0].gain < CERTAIN or tried[0].strength < _LOUD_JUMPS:
             return None
         taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
         left = tried[0].strength
