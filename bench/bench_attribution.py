@@ -24,7 +24,7 @@ the effects; ``--none 400`` campaigns without any; ``--outside`` effects that no
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 import json
 import math
@@ -41,6 +41,7 @@ from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.records import Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import (
     Campaign,
@@ -55,10 +56,8 @@ from hapticvision_ros.sim.specimen import Body, LIBRARY, OUTSIDE, Undeclared
 from hapticvision_ros.sim.strengths import LinearMisfit, strength_for, undeclared
 import numpy as np
 
-SEARCHES = 8
 NEAR = 0.1
-"""Fits for a strength, and relative error of the misfit that it may have."""
-STRONGEST = 30.0
+"""Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
 """Rate at which encoders follow an arm [Hz]."""
 CANNOT = {'force_saturation', 'force_quantisation'}
@@ -101,21 +100,39 @@ def make(world: str, seed: int, scatter: float) -> Campaign:
     return random_campaign(seed, scatter=scatter, longest=30.0)
 
 
-def base_misfit(campaign: Campaign, acting: Sequence[Undeclared], seed: int) -> float:
-    """Return the misfit of the base model, at its best, to what its trials are without noise."""
-    # How the encoders follow the arm is no matter of the model.
-    sensors = replace(campaign.sensors, tool_rate=max(campaign.sensors.force_rate, FOLLOWED))
-    exact = replace(campaign, sensors=sensors)
-    trials = run(exact, acting, seed=seed, ideal=True).trials
-    prepared, _ = prepare(
-        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
-    )
-    found = fit_prepared(prepared, Model())
-    problem = found.problem
-    problem.set_noise(white(sensors.force_noise.std), white(sensors.height_noise))
-    best = minimise(problem.evaluate, found.state, problem.bounds, tolerance=1e-6)
-    samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in problem.trials)
-    return math.sqrt(best.cost / samples)
+class BaseMisfit:
+    """
+    The misfit of the base model, at its best, to what trials are without noise.
+
+    To first order it is a `LinearMisfit`; a fit may go further. How the encoders follow the arm is
+    no matter of the model: the trials are those of `campaign`, in which they do.
+    """
+
+    def __init__(self, campaign: Campaign, seed: int) -> None:
+        sensors = campaign.sensors
+        rate = max(sensors.force_rate, FOLLOWED)
+        self.campaign = replace(campaign, sensors=replace(sensors, tool_rate=rate))
+        self._none = 0.0
+        self._none = self(run(self.campaign, seed=seed, ideal=True).trials)
+
+    def __call__(self, trials: tuple[Trial, ...]) -> float:
+        """Return the misfit of the noise-free run over the noise, less that without an effect."""
+        squares, samples = self.left(trials, ())
+        return math.sqrt(max(squares / samples - self._none**2, 0.0))
+
+    def left(self, trials: tuple[Trial, ...], effects: tuple[str, ...]) -> tuple[float, float]:
+        """Return the squares that a model leaves at its best, over the variance; the samples."""
+        prepared, _ = prepare(
+            [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
+        )
+        found = fit_prepared(prepared, Model(effects))
+        problem, sensors = found.problem, self.campaign.sensors
+        problem.set_noise(white(sensors.force_noise.std), white(sensors.height_noise))
+        best = minimise(
+            problem.evaluate, found.state, problem.bounds, tolerance=1e-9, max_evaluations=60
+        )
+        samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in problem.trials)
+        return best.cost, samples
 
 
 def white(std: float) -> SensorNoise:
@@ -124,27 +141,13 @@ def white(std: float) -> SensorNoise:
 
 
 def fitted_strength(
-    r: float, name: str, campaign: Campaign, start: float, shape: float, seed: int
+    r: float, name: str, campaign: Campaign, fitted: BaseMisfit, shape: float, seed: int
 ) -> float:
-    """
-    Return the strength at which the base model, at its best, misses by r times the noise.
-
-    What is known of the misfit to first order is the start: a fit may go further.
-    """
-    at, power, last = math.log(start), 1.0, None
-    none = base_misfit(campaign, [], seed)
-    for _ in range(SEARCHES):
-        acting = [undeclared(name, math.exp(at), campaign, shape=shape)]
-        reached = math.sqrt(max(base_misfit(campaign, acting, seed) ** 2 - none**2, 1e-12))
-        if abs(math.log(reached / r)) < NEAR:
-            return math.exp(at)
-        if last is not None and at != last[0]:
-            power = min(max((math.log(reached) - last[1]) / (at - last[0]), 0.3), 3.0)
-        last = at, math.log(reached)
-        at += min(max(math.log(r / reached) / power, -2.0), 2.0)
-        if math.exp(at) > STRONGEST:
-            break
-    raise InputError(f'no strength of {name} makes the base model miss by {r:g} times the noise')
+    """Return the strength at which the base model, at its best, misses by r times the noise."""
+    linear = LinearMisfit(campaign, seed=seed)
+    options: dict[str, Any] = {'shape': shape, 'seed': seed, 'tolerance': NEAR}
+    start = strength_for(r, name, campaign, linear, **options)
+    return strength_for(r, name, fitted.campaign, fitted, start=start, **options)
 
 
 def case(task: dict[str, Any]) -> dict[str, Any]:
@@ -155,12 +158,10 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
     result = dict(task)
     acting = list[Undeclared]()
     try:
-        misfit = LinearMisfit(campaign, seed=seed)
+        misfit = BaseMisfit(campaign, seed) if names else None
         for name in names:
-            size = strength_for(
-                task['r'], name, campaign, misfit, shape=shape, seed=seed, tolerance=0.1
-            )
-            size = fitted_strength(task['r'], name, campaign, size, shape, seed)
+            assert misfit is not None
+            size = fitted_strength(task['r'], name, campaign, misfit, shape, seed)
             acting.append(undeclared(name, size, campaign, shape=shape))
     except (InputError, UsageError, ValueError):
         return {**result, 'skipped': True}

@@ -23,45 +23,14 @@ bench/bench_within_a_sample.py``
 """
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import replace
 
-from bench_attribution import fitted_strength, FOLLOWED, make, white
-from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.fit.campaign import fit_prepared
-from hapticvision_ros.core.fit.data import prepare
-from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.segmentation import segment
-from hapticvision_ros.sim.campaigns import Campaign, run
-from hapticvision_ros.sim.specimen import Undeclared
-from hapticvision_ros.sim.strengths import LinearMisfit, strength_for, undeclared
+from bench_attribution import BaseMisfit, fitted_strength, make
+from hapticvision_ros.sim.campaigns import run
+from hapticvision_ros.sim.strengths import undeclared
 import numpy as np
 
 ACTING = ('series_spring', 'machine_compliance', 'force_lag')
 FITTED = (*ACTING, 'second_retardation')
-
-
-def squares(
-    campaign: Campaign, acting: Sequence[Undeclared], seed: int, effects: tuple[str, ...]
-) -> float:
-    """Return what a model leaves, at its best, of trials without noise, over the variance."""
-    rate = max(campaign.sensors.force_rate, FOLLOWED)
-    exact = replace(campaign, sensors=replace(campaign.sensors, tool_rate=rate))
-    trials = run(exact, acting, seed=seed, ideal=True).trials
-    prepared, _ = prepare(
-        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
-    )
-    found = fit_prepared(prepared, Model(effects))
-    sensors = campaign.sensors
-    found.problem.set_noise(white(sensors.force_noise.std), white(sensors.height_noise))
-    best = minimise(
-        found.problem.evaluate,
-        found.state,
-        found.problem.bounds,
-        tolerance=1e-9,
-        max_evaluations=60,
-    )
-    return best.cost
 
 
 def main() -> None:
@@ -75,17 +44,15 @@ def main() -> None:
     print(f'| --- | --- | --- | --- | --- |{" --- |" * len(FITTED)}')
     for seed in args.seeds:
         campaign = make(args.world, seed, 0.0)
-        misfit = LinearMisfit(campaign, seed=seed)
+        misfit = BaseMisfit(campaign, seed)
         shape = float(np.random.default_rng((seed, 5)).uniform())
         for r in args.r:
             for name in ACTING:
-                start = strength_for(
-                    r, name, campaign, misfit, shape=shape, seed=seed, tolerance=0.1
-                )
-                size = fitted_strength(r, name, campaign, start, shape, seed)
+                size = fitted_strength(r, name, campaign, misfit, shape, seed)
                 effect = undeclared(name, size, campaign, shape=shape)
+                trials = run(misfit.campaign, [effect], seed=seed, ideal=True).trials
                 left = [
-                    squares(campaign, [effect], seed, effects)
+                    misfit.left(trials, effects)[0]
                     for effects in ((), *((each,) for each in FITTED))
                 ]
                 cells = ' | '.join(f'{value:.0f}' for value in left)

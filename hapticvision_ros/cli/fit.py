@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from hapticvision_ros.report.quantities import Unit, UnitSystem
 
 _MOST_NAMED: Final = 5
+_THREADS: Final = 2
+"""Threads of a diagnosis: the interpreter has one at a time beside the kernels."""
 _CLEAR_LINE: Final = '\r\x1b[K'
 _NEW_OBJECTS: Final = 100_000
 
@@ -185,7 +187,7 @@ def fit_bags(
             analyses[count:],
             model=model,
             progress=progress,
-            workers=len(os.sched_getaffinity(0)),
+            workers=min(_THREADS, len(os.sched_getaffinity(0))),
             bootstrap=bootstrap,
         )
 

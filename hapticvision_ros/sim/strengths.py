@@ -202,6 +202,7 @@ def strength_for(
     seed: int = 0,
     beside: Sequence[Undeclared] = (),
     tolerance: float = 0.02,
+    start: float = 0.03,
 ) -> float:
     """
     Return the strength at which an effect makes the base model miss by r times the noise.
@@ -223,6 +224,8 @@ def strength_for(
         What else acts.
     tolerance : float
         Relative, of r.
+    start : float
+        Where to begin to look.
 
     Returns
     -------
@@ -236,7 +239,7 @@ def strength_for(
 
     """
     low, high = math.log(_WEAKEST), math.log(_STRONGEST)
-    at = math.log(0.03)
+    at = math.log(start)
     last: tuple[float, float] | None = None
     power = 1.0
     for _ in range(_TRIES):

@@ -357,7 +357,8 @@ class _Search:
         self, bench: Workbench, base: Refit, chosen: Refit, last: Round
     ) -> Unexplained | None:
         """Say what the encoders are too slow to show; return it where it is beyond doubt."""
-        tried = drawn_out(bench, last.candidates)
+        # Where it has accepted one, its candidates stand beside a model without that.
+        tried = () if last.alike else drawn_out(bench, last.candidates)
         if not tried:
             return None
         names = ' or '.join(each.effect for each in tried)

@@ -262,14 +262,17 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     """Return a candidate after a longer search."""
     if found.refit is None or found.gain < GATE:
         return found
-    near = found.refit
+    known = near = found.refit
     if any(len(p.scan) > _ROUGH for p in BY_NAME[found.effect].parameters):
         # Looked for anew where the noise is known better.
-        noise = (near.force_noise, near.height_noise, near.blur, near.jumps)
         near = replace(
-            without, force_noise=noise[0], height_noise=noise[1], blur=noise[2], jumps=noise[3]
+            without,
+            force_noise=known.force_noise,
+            height_noise=known.height_noise,
+            blur=known.blur,
+            jumps=known.jumps,
         )
-    again = bench.refit(found.refit.model, near)
+    again = bench.refit(known.model, near)
     if again is None or again.deviance >= found.refit.deviance:
         return found
     score = max(without.deviance - again.deviance, 0.0)
@@ -343,23 +346,18 @@ def select(
         if fleeting(bench, good[0].refit, leader.effect):
             # What is over within a sample looks much the same, whatever it is.
             enough = min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
-        near = [each.effect for each in good if each.gain > enough]
-        # A unit that is quicker than the samples is a spring with a parameter too many.
-        alike = tuple(
-            each.effect
-            for each in good
-            if each.effect in near
-            and not (
-                each is not leader
-                and each.refit is not None
-                and fleeting(bench, each.refit, each.effect)
-                and set(BY_NAME[each.effect].generalises) & set(near)
-            )
-        )
+        near = [each for each in good if each.gain > enough]
+        alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
     return current, tuple(rounds)
+
+
+def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> bool:
+    """Return whether an effect is within a sample one of the others with a parameter too many."""
+    simpler = set(BY_NAME[one.effect].generalises) & {each.effect for each in others}
+    return bool(simpler) and one.refit is not None and fleeting(bench, one.refit, one.effect)
 
 
 def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list[Trialled]:
@@ -373,9 +371,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
-        # What is over at once only changes what a jump is said to be.
-        shown_here = shown and _samples(bench, refit, each.effect) > _AT_ONCE
-        return shown_here and each.gain > _QUICK_GATE and each.strength > weakest
+        return shown and _draws_out(bench, each, weakest)
 
     return [
         each
@@ -405,15 +401,15 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
     """
     if resolved(bench):
         return ()
-    return tuple(
-        each
-        for each in tried
-        if each.refit is not None
-        and fleeting(bench, each.refit, each.effect)
-        and _samples(bench, each.refit, each.effect) > _AT_ONCE
-        and each.gain > _QUICK_GATE
-        and each.strength > WEAKEST
-    )
+    return tuple(each for each in tried if _draws_out(bench, each, WEAKEST))
+
+
+def _draws_out(bench: Workbench, each: Trialled, weakest: float) -> bool:
+    """Return whether a candidate is seen to draw jumps out, over less than a sample."""
+    if each.refit is None or each.gain <= _QUICK_GATE or each.strength <= weakest:
+        return False
+    # What is over at once only changes what a jump is said to be.
+    return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0
 
 
 def _against(tried: Sequence[Trialled], old: Refit, new: Refit) -> tuple[Trialled, ...]:

@@ -594,13 +594,13 @@ def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> 
         noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
     inside = force.between(touch, math.inf)
     travel = path.at(inside.t)
-    # Force without noise shows the touch itself.
-    error = math.inf if noise > 0.0 else 0.0
-    for share in _SHALLOW if noise > 0.0 else ():
+    error = math.inf
+    for share in _SHALLOW:
         rise = inside.value[: max(int(np.argmax(travel > share * depth)), 4)]
         # How far the tool goes on until the force stands out of the noise.
         gained = float(rise[-1] - rise[0]) if rise.size < 8 else float(np.ptp(rise))
-        error = min(error, 2.0 * share * depth * noise / max(gained, noise))
+        # Force without noise shows the touch itself.
+        error = min(error, 2.0 * share * depth * noise / max(gained, noise, 1e-300))
     return math.hypot(travelled, path.noise, error, _DETECTION * depth)
 
 
