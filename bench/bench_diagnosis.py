@@ -1,0 +1,66 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How long the diagnosis of six trials of 130 s at 1 kHz takes, with one thread and with two.
+
+``OMP_NUM_THREADS=1 python3 bench/bench_diagnosis.py``
+"""
+
+import time
+
+from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.segmentation import segment
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force, Push, run, Sensors
+from hapticvision_ros.sim.specimen import Body
+from hapticvision_ros.sim.strengths import undeclared
+
+BODY = Body(2000.0, 1600.0, 2400.0)
+PUSHES = tuple(
+    Push(speed, depth, 60.0, 60.0)
+    for depth, speed in ((0.004, 0.002), (0.008, 0.008), (0.006, 0.002))
+    for speed in (speed, 0.01 - speed)
+)
+ACTING = ((), ('yield_force', 0.004), ('springpot', 0.01))
+"""Effects by name and strength."""
+
+
+def main() -> None:
+    """Print a table."""
+    peak = peak_force(Campaign(BODY, PUSHES, Sensors(ForceNoise(0.0), 0.0)))
+    sensors = Sensors(
+        ForceNoise(0.0, 0.005 * peak, 0.002),
+        4e-5,
+        force_rate=1000.0,
+        tool_rate=500.0,
+        force_zero=0.02 * peak,
+    )
+    campaign = Campaign(BODY, PUSHES, sensors)
+    print('| acting | answer | threads | time [s] | CPU time [s] |')
+    print('| --- | --- | --- | --- | --- |')
+    for acting in ACTING:
+        effects = [undeclared(*acting, campaign)] if acting else []
+        trials = run(campaign, effects, seed=1).trials
+        given = [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
+        for threads in (1, 2):
+            wall, cpu = time.perf_counter(), time.process_time()
+            found = diagnose(given, workers=threads)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            name = acting[0] if acting else 'nothing'
+            answer = ', '.join(found.effects) or found.status
+            print(f'| {name} | {answer} | {threads} | {wall:.1f} | {cpu:.1f} |', flush=True)
+
+
+if __name__ == '__main__':
+    main()
