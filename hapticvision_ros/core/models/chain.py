@@ -240,8 +240,12 @@ _SHORTEST = 1e-6
 """Share of a step that a part of it has at least."""
 _SAME = 1e-9
 """Relative difference between two steps that makes none."""
-_B_E, _B_FLOW, _B_END, _B_K1, _B_C0, _B_CM, _B_KP, _B_OFF, _B_MASS, _BENT = range(10)
-"""Derivatives along a direction: of e, h / C2 and kappa, and of numbers; their count."""
+_B_E, _B_FLOW, _B_END, _B_K1, _B_C0, _B_CM, _B_KP, _B_OFF, _B_MASS = range(9)
+_B_Z_Z, _B_Z_D, _B_F_Z, _B_F_D, _BENT = range(9, 14)
+"""
+Derivatives along a direction: of e, h / C2 and kappa, and of numbers; of what z and the force take
+from z and from the tool's way; their count.
+"""
 
 
 @kernel(inline='always', error_model='numpy')
@@ -486,7 +490,9 @@ def _respond(  # type: ignore[no-untyped-def]
     quick = directions == 0
     bare_h = -1.0
     bare_inverse = 0.0
-    bare_flow = 0.0
+    kept_z = 1.0
+    f_z = 0.0
+    f_d = 0.0
     brisk_h = -1.0
     brisk_contact = False
     per_h = 0.0
@@ -532,45 +538,80 @@ def _respond(  # type: ignore[no-untyped-def]
                 h_known = -1.0
                 against = c1 + c2 if contact else c1
                 e, e_k, e_x = _memory_weight(k1, c1, h, against)
-                bare_flow = h * c2_inverse
-                bare_inverse = 1.0 / (1.0 + bare_flow * e)
+                flow_give = h * c2_inverse
+                bare_inverse = 1.0 / (1.0 + flow_give * e)
+                # In contact the flow unit has what z has not of the tool's way, so that z alone
+                # goes from step to step; free, y rests.
+                kept_z = 1.0 - bare_inverse * flow_give * k1 if contact else 1.0 - k1 / e
+                f_z = bare_inverse * k1
+                f_d = bare_inverse * e
                 for j in range(directions):
-                    bent[j, _B_E] = e_k * dq[j, _K1] + dq[j, _C1] / h
+                    de = e_k * dq[j, _K1] + dq[j, _C1] / h
                     if contact:
-                        bent[j, _B_E] -= e_x / against * (dq[j, _C1] + dq[j, _C2])
-                    elif c1 > 0.0:
-                        bent[j, _B_E] -= e_x / against * dq[j, _C1]
-            if not contact:
-                u = -k1 / e * z
-                if z + u + y >= d_end:
+                        de -= e_x / against * (dq[j, _C1] + dq[j, _C2])
+                        d_flow = -flow_give * c2_inverse * dq[j, _C2]
+                        d_inverse = -(d_flow * e + flow_give * de) * bare_inverse * bare_inverse
+                        change = d_flow * k1 + flow_give * dq[j, _K1]
+                        bent[j, _B_Z_Z] = -d_inverse * flow_give * k1 - bare_inverse * change
+                        bent[j, _B_Z_D] = d_inverse
+                        bent[j, _B_F_Z] = d_inverse * k1 + bare_inverse * dq[j, _K1]
+                        bent[j, _B_F_D] = d_inverse * e + bare_inverse * de
+                    else:
+                        if c1 > 0.0:
+                            de -= e_x / against * dq[j, _C1]
+                        bent[j, _B_Z_Z] = (k1 * de / e - dq[j, _K1]) / e
+            first = i
+            if contact:
+                start = d[i] + offset
+                last = force[i - 1]
+                while True:
+                    pushed = d_end - start
+                    total = f_z * z + f_d * pushed
+                    if 1.5 * total - 0.5 * last < -f_ad:
+                        break
                     for j in range(directions):
-                        dz[j] -= (dq[j, _K1] * z + k1 * dz[j] + bent[j, _B_E] * u) / e
+                        dfc = bent[j, _B_F_Z] * z + bent[j, _B_F_D] * pushed
+                        d_force[j, i] = dfc + f_z * dz[j]
+                        dz[j] = kept_z * dz[j] + bent[j, _B_Z_Z] * z + bent[j, _B_Z_D] * pushed
+                        d_surface[j, i + 1] = bent[j, _B_OFF]
+                    z = kept_z * z + bare_inverse * pushed
+                    force[i] = total
+                    surface[i + 1] = d_end
+                    last = total
+                    start = d_end
+                    i += 1
+                    if i == steps:
+                        break
+                    h = t[i + 1] - t[i]
+                    d_end = d[i + 1] + offset
+                    if abs(h - bare_h) > _SAME * h:
+                        break
+                if i > first:
+                    x = start
+                    y = x - z
+                    for j in range(directions):
+                        dx[j] = bent[j, _B_OFF]
+                        dy[j] = dx[j] - dz[j]
+            else:
+                while y + kept_z * z >= d_end:
+                    for j in range(directions):
+                        dz[j] = kept_z * dz[j] + bent[j, _B_Z_Z] * z
                         dx[j] = dz[j] + dy[j]
                         d_force[j, i] = 0.0
                         d_surface[j, i + 1] = dx[j]
-                    z += u
-                    x = z + y
+                    z *= kept_z
+                    x = y + z
                     force[i] = 0.0
                     surface[i + 1] = x
-                    continue
-            u = (d_end - y - (1.0 + bare_flow * k1) * z) * bare_inverse
-            total = k1 * z + e * u
-            if contact and 1.5 * total - 0.5 * force[i - 1] >= -f_ad:
-                for j in range(directions):
-                    dfc = dq[j, _K1] * z + k1 * dz[j] + bent[j, _B_E] * u
-                    dy[j] -= bare_flow * total * c2_inverse * dq[j, _C2]
-                    du = (dq[j, _OFF] - dz[j] - dy[j] - bare_flow * dfc) * bare_inverse
-                    dfc += e * du
-                    dz[j] += du
-                    dy[j] += bare_flow * dfc
-                    d_force[j, i] = dfc
-                    d_surface[j, i + 1] = dq[j, _OFF]
-                    dx[j] = dq[j, _OFF]
-                z += u
-                y += bare_flow * total
-                x = d_end
-                force[i] = total
-                surface[i + 1] = d_end
+                    i += 1
+                    if i == steps:
+                        break
+                    h = t[i + 1] - t[i]
+                    d_end = d[i + 1] + offset
+                    if abs(h - bare_h) > _SAME * h:
+                        break
+            if i > first:
+                i -= 1
                 continue
         if virgin and d_end <= 0.0:
             force[i] = 0.0
@@ -642,6 +683,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 # Where the step would end without u is known from the state one step before and
                 # that step's u, so that only a product and a sum wait for each other.
                 x_free = y + z_give * z + waits * chain_force + _fallen(kept_u, zu)
+                fallen = _fallen(kept_twice, zu)
                 ahead_z = z_give + ahead_give * k1
                 ahead_u = z_give + ahead_give * e
                 held_waits = waits * (1.0 - kappa)
@@ -650,7 +692,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 ahead = 0.0
                 while True:
                     fc = k1 * z
-                    x_next = y + ahead_z * z + held_waits * chain_force + _fallen(kept_twice, zu)
+                    x_next = y + ahead_z * z + held_waits * chain_force + fallen
                     total = fc + half_kp * (x + x_free)
                     if contact:
                         g = x_free - d_end
@@ -675,8 +717,11 @@ def _respond(  # type: ignore[no-untyped-def]
                         break
                     x_free = x_next + ahead_u * u
                     fc += e * u
+                    fallen = 0.0
                     for k in range(units):
-                        zu[k] = kept_u[k] * zu[k] + unit_give[k] * fc
+                        stretch = kept_u[k] * zu[k] + unit_give[k] * fc
+                        zu[k] = stretch
+                        fallen += kept_twice[k] * stretch
                     z += u
                     y += flow_give * fc
                     chain_force += kappa * (fc - chain_force)

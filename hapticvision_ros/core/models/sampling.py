@@ -90,6 +90,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     d_state = d_value[:, 0].copy()
     known = -1.0
     kept = 0.0
+    lost = 1.0
     mean = 0.0
     d_kept = 0.0
     d_mean = 0.0
@@ -100,12 +101,13 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
             if time_constant > 0.0:
                 s = h / time_constant
                 kept = np.exp(-s)
-                gone = -np.expm1(-s)
-                mean = gone / s
+                lost = -np.expm1(-s)
+                mean = lost / s
                 d_kept = kept * s / time_constant
-                d_mean = (gone - s * kept) / h
+                d_mean = (lost - s * kept) / h
             else:
                 kept = 0.0
+                lost = 1.0
                 mean = 0.0
                 d_kept = 0.0
                 d_mean = 1.0 / h
@@ -118,7 +120,8 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
         if row >= 0:
             d_state[row] += d_kept * away
             d_value[row, i] += d_mean * away
-        state = value[i] + kept * away
+        # Written so that one product and one sum wait for each other from step to step.
+        state = kept * state + lost * value[i]
         value[i] += mean * away
 
 
