@@ -306,6 +306,9 @@ class Model:
         self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
     ) -> tuple[Chain, tuple[Chain, ...]]:
         """Return the chain, and how its numbers change with the values of some rows."""
+        if all(effect.shape is None for effect in self.declared):
+            slots = self._draft(trial, values.tolist()).slots.real.copy()
+            return Chain(slots, _NO_UNITS, _NO_UNITS), _PLAIN if rows else ()
         given: list[complex] = [complex(value) for value in values]
         draft = self._draft(trial, given)
         # A unit that is infinitely stiff is none.
@@ -323,6 +326,14 @@ class Model:
             tangents.append(_numbers(self._draft(trial, given), kept, step))
             given[row] = complex(value)
         return chain, tuple(tangents)
+
+
+_NO_UNITS: Final = np.zeros(0)
+_PLAIN: Final = tuple(
+    Chain(np.eye(len(Slot))[slot], _NO_UNITS, _NO_UNITS)
+    for slot in (Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET)
+)
+"""What the parameters of a chain without effects, and the onset, are of it."""
 
 
 def _numbers(draft: Draft, kept: Sequence[int], step: float | None = None) -> Chain:

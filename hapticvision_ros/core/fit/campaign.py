@@ -658,7 +658,7 @@ def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
 def force_blocks(trial: FitTrial, extra: FloatArray | None = None) -> Blocks:
     """Return how the force of a trial is averaged."""
     return Blocks(
-        np.diff(trial.t),
+        trial.duration,
         trial.force_count,
         np.zeros(trial.force.size) if extra is None else extra,
     )
@@ -672,9 +672,8 @@ def height_blocks(trial: FitTrial) -> Blocks:
 
 def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     """Return the variance of each step's force for that its moment is known to `blur` samples."""
-    middle = 0.5 * (trial.t[1:] + trial.t[:-1])
     # A mean over several samples holds the jump in one of them.
-    spacing = np.diff(trial.t) / np.maximum(trial.force_count, 1.0)
+    middle, spacing = trial.middle, trial.spacing
     bend = np.zeros(force.size)
     slope = np.diff(force) / np.diff(middle)
     bend[1:-1] = 0.5 * spacing[1:-1] * np.abs(np.diff(slope))
@@ -697,8 +696,7 @@ def calm(full: FitTrial, force: FloatArray, noise: SensorNoise) -> NDArray[np.bo
 
 def _spacing(trial: FitTrial) -> float:
     """Return the interval between two samples of the force where they are dense [s]."""
-    spacing = np.diff(trial.t) / np.maximum(trial.force_count, 1.0)
-    return float(np.quantile(spacing, _DENSE))
+    return float(np.quantile(trial.spacing, _DENSE))
 
 
 def _bluntest(trials: Sequence[FitTrial]) -> int:
