@@ -36,7 +36,6 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.streams import CloudStream, NumberStream, TextStream, WrenchStream
-from hapticvision_ros.core.displacement import displacement_from_clouds
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import DisplacementSource, Trial
 
@@ -127,6 +126,9 @@ class TrialStreams:
         if displacement is not None:
             source = 'tool' if provenance.get('displacement_source') == 'tool' else 'topic'
         elif clouds is not None and displacement_from_points:
+            # What plans a contact takes longer to import than to read a bag that needs none of it.
+            from hapticvision_ros.core.displacement import displacement_from_clouds
+
             displacement, assumed = displacement_from_clouds(clouds, tool_height)
             told += assumed
             source = 'none' if displacement is None else 'points'

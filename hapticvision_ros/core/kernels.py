@@ -22,11 +22,38 @@ it is then compiled anew by each process, which is slow to start but works.
 
 from collections.abc import Callable
 import contextlib
+from importlib import import_module
+import sys
 from typing import Any
 
 from numba import njit
+from numba.core import environment
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
+
+
+def _environment(module: str, constants: Any, name: str) -> Any:
+    """
+    Return what numba keeps of a function within a kernel, without loading the module it is from.
+
+    Machine code looks up constants there; names of the module only by the interpreter, which runs
+    no kernel. Each kernel with a `numpy.zeros` in it would load numba's arrays and strings.
+    """
+    known = environment.lookup_environment(name)  # type: ignore[no-untyped-call]
+    if known is not None:
+        return known
+    if module.startswith('numba.') and module not in sys.modules:
+        names: dict[str, Any] = {'__name__': module}
+    else:
+        names = import_module(module).__dict__
+    made = environment.Environment(names)
+    made.consts[:] = constants
+    made.env_name = name
+    environment.Environment._memo[name] = made
+    return made
+
+
+environment._rebuild_env = _environment
 
 
 class _Cache(FunctionCache):

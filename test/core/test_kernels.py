@@ -39,22 +39,30 @@ def test_a_kernel_keeps_what_is_compiled_and_frees_the_interpreter() -> None:
 
 
 def test_a_kernel_that_is_kept_comes_without_the_compiler(tmp_path: Path) -> None:
-    source = tmp_path / 'doubled.py'
+    source = tmp_path / 'summed.py'
     source.write_text(
         'import sys\n'
         'from hapticvision_ros.core.kernels import kernel\n'
+        'import numpy as np\n'
         '@kernel()\n'
-        'def doubled(x):\n'
-        '    return 2.0 * x\n'
-        'assert doubled(1.5) == 3.0\n'
-        'print("numba.np.linalg" in sys.modules)\n'
-        'assert doubled(3) == 6.0\n'
+        'def summed(x):\n'
+        '    twice = np.zeros(2)\n'
+        '    twice[:] = x\n'
+        '    return twice.sum()\n'
+        'assert summed(1.5) == 3.0\n'
+        'print(*(f"numba.{name}" in sys.modules for name in ("np.arrayobj", "cpython.unicode")))\n'
+        'assert summed(3) == 6.0\n'
+        'try:\n'
+        '    summed("x")\n'
+        'except Exception as error:\n'
+        '    print(type(error).__name__)\n'
     )
-    command = [sys.executable, '-c', 'import doubled']
+    command = [sys.executable, '-c', 'import summed']
     said = [
         subprocess.run(
             command, cwd=tmp_path, capture_output=True, text=True, check=True
-        ).stdout.strip()
+        ).stdout.split()
         for _ in range(2)
     ]
-    assert said == ['True', 'False']
+    # What is compiled after a kernel was read finds all that the compiler needs.
+    assert said == [['True', 'True', 'TypingError'], ['False', 'False', 'TypingError']]

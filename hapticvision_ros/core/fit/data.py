@@ -25,6 +25,7 @@ the encoders' samples, as many as it takes to follow them within their noise.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 import math
 from typing import Final
@@ -177,7 +178,7 @@ class Bend:
         return 0.5 * self.turn / self.duration * away**2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FitTrial:
     """
     A trial in n steps, with m samples (or means of samples) of the displacement height.
@@ -242,6 +243,21 @@ class FitTrial:
     eventful: NDArray[np.bool_]
     samples: Samples
     path: ToolPath
+
+    @cached_property
+    def duration(self) -> FloatArray:
+        """Return the lengths of the steps [s], shape (n,)."""
+        return np.diff(self.t)
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """Return the times in the middle of the steps [s], shape (n,)."""
+        return 0.5 * (self.t[1:] + self.t[:-1])
+
+    @cached_property
+    def spacing(self) -> FloatArray:
+        """Return the intervals between the samples within the steps [s], shape (n,)."""
+        return np.asarray(self.duration / np.maximum(self.force_count, 1.0))
 
     @property
     def peak_force(self) -> float:
@@ -536,8 +552,8 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     if ends.size == 0:
         return none
     found = np.zeros(value.size, dtype=np.bool_)
-    for start in np.unique(ends // 2048) * 2048:
-        low, high = max(0, int(start) - 512), min(value.size, int(start) + 2048 + 512)
+    for block in dict.fromkeys((ends // 2048).tolist()):
+        low, high = max(0, block * 2048 - 512), min(value.size, (block + 1) * 2048 + 512)
         found[low:high] |= find_glitches(value[low:high])
     for first, last in runs(found):
         none[first:last] = last - first <= _LONGEST_GLITCH
@@ -791,7 +807,9 @@ def _followed(
         far = int(np.argmax(away))
         if away[far] <= _LEFT_SIGMAS * noise:
             return knots, levels
-        more = np.unique(np.append(knots, t[far]))
+        if t[far] in knots:
+            break
+        more = np.sort(np.append(knots, t[far]))
         again, new_levels = _levels(t, value, more)
         if again.size == knots.size:
             break
@@ -899,9 +917,8 @@ def _pieces(
         first, last = pending.pop()
         if last - first < 8:
             continue
-        edges = np.unique(
-            np.linspace(first, last, min(last - first, _PATH_BLOCKS) + 1).astype(int)
-        )
+        blocks = min(last - first, _PATH_BLOCKS)
+        edges = first + np.arange(blocks + 1) * (last - first) // blocks
         count = np.diff(edges).astype(np.float64)
         mean_t = np.add.reduceat(t[first:last], edges[:-1] - first) / count
         mean = np.add.reduceat(value[first:last], edges[:-1] - first) / count
