@@ -24,7 +24,7 @@ the effects; ``--none 400`` campaigns without any; ``--outside`` effects that no
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import json
 import math
@@ -36,6 +36,7 @@ from typing import Any
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
@@ -112,6 +113,7 @@ class BaseMisfit:
         sensors = campaign.sensors
         rate = max(sensors.force_rate, FOLLOWED)
         self.campaign = replace(campaign, sensors=replace(sensors, tool_rate=rate))
+        self._seed = seed
         self._none = 0.0
         self._none = self(run(self.campaign, seed=seed, ideal=True).trials)
 
@@ -120,19 +122,47 @@ class BaseMisfit:
         squares, samples = self.left(trials, ())
         return math.sqrt(max(squares / samples - self._none**2, 0.0))
 
-    def left(self, trials: tuple[Trial, ...], effects: tuple[str, ...]) -> tuple[float, float]:
-        """Return the squares that a model leaves at its best, over the variance; the samples."""
+    def left(
+        self, trials: tuple[Trial, ...], effects: tuple[str, ...], *, memory: bool = False
+    ) -> tuple[float, float]:
+        """
+        Return the squares that a model leaves at its best, over the variance; the samples.
+
+        With the memory of the noise, the squares are those of what is whitened by it.
+        """
         prepared, _ = prepare(
             [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
         )
         found = fit_prepared(prepared, Model(effects))
         problem, sensors = found.problem, self.campaign.sensors
-        problem.set_noise(white(sensors.force_noise.std), white(sensors.height_noise))
+        force = remembering(sensors.force_noise) if memory else white(sensors.force_noise.std)
+        problem.set_noise(force, white(sensors.height_noise))
         best = minimise(
             problem.evaluate, found.state, problem.bounds, tolerance=1e-9, max_evaluations=60
         )
         samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in problem.trials)
         return best.cost, samples
+
+    def known(self, acting: Sequence[Undeclared], names: Sequence[str]) -> dict[str, float]:
+        """Return, for each effect, the squares that it takes out beside the others at its best."""
+        trials = run(self.campaign, acting, seed=self._seed, ideal=True).trials
+        whole = self.left(trials, tuple(names), memory=True)[0]
+        gains = {}
+        for name in names:
+            others = tuple(other for other in names if other != name)
+            gains[name] = round(self.left(trials, others, memory=True)[0] - whole, 1)
+        return gains
+
+
+def remembering(noise: ForceNoise) -> SensorNoise:
+    """Return the noise of a load cell as it is."""
+    return SensorNoise(
+        max(noise.white, 1e-3 * noise.std),
+        noise.coloured,
+        noise.correlation_time,
+        noise.slow,
+        noise.slow_time,
+    )
 
 
 def white(std: float) -> SensorNoise:
@@ -163,6 +193,8 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
             assert misfit is not None
             size = fitted_strength(task['r'], name, campaign, misfit, shape, seed)
             acting.append(undeclared(name, size, campaign, shape=shape))
+        if misfit is not None and set(names) <= set(BY_NAME):
+            result['known'] = misfit.known(acting, names)
     except (InputError, UsageError, ValueError):
         return {**result, 'skipped': True}
     try:
