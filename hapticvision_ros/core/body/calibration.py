@@ -104,7 +104,9 @@ def calibrate(
     Each round simulates the trial, tells from what came out how far the model's parameters have
     moved (one Gauss-Newton step of the fit), and takes the numbers of the links back by that; how
     these follow each other is learnt on the way (Broyden). A round that does worse than the best
-    so far is taken back by half. Push, hold and recovery weigh alike.
+    so far is taken back by half: the best is the one whose force and height are nearest to the
+    model's in the mean square, or where a fit would change nothing any more. Push, hold and
+    recovery weigh alike.
 
     Parameters
     ----------
@@ -159,18 +161,19 @@ def calibrate(
             law = _changed(best.law, names, change)
             continue
         trial = _Driven(run.t, top - run.tool, run.t, depth)
-        off = _off(carried, target, used, trial, run, motion.corners)
-        cost = float(np.abs(off).max(initial=0.0))
+        misses = _Misses(carried, trial, run, motion.corners)
+        off, cost = _off(carried, target, used, misses)
         if best is not None:
             # Broyden's update of how the fit follows the links; alike is where it starts.
             missed = off - best.off - follows @ change
             follows += np.outer(missed, change) / max(float(change @ change), 1e-300)
         share = 1.0
-        if best is None or cost < best.cost:
+        settled = float(np.abs(off).max(initial=0.0)) < _ALIKE
+        if best is None or settled or cost < best.cost:
             best = _Round(law, run, trial, off, cost)
         else:
             share = 0.5
-        if best.cost < _ALIKE:
+        if settled:
             break
         wish = -np.linalg.lstsq(follows, best.off, rcond=1e-3)[0]
         change = share * np.clip(wish, -_FARTHEST, _FARTHEST)
@@ -188,7 +191,7 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """A round of the calibration: how far the fit to its run is off, and the most of it."""
+    """A round of the calibration: how far the fit to its run is off, and the norm of the misses."""
 
     law: LinkLaw
     run: BodyRun
@@ -249,18 +252,21 @@ class _Misses:
 
 
 def _off(
-    model: Model,
-    target: FloatArray,
-    used: BoolArray,
-    trial: _Driven,
-    run: BodyRun,
-    corners: Sequence[float],
-) -> FloatArray:
-    """Return by how much a fit to a run would change the logarithms of the used parameters."""
-    misses = _Misses(model, trial, run, corners)
+    model: Model, target: FloatArray, used: BoolArray, misses: _Misses
+) -> tuple[FloatArray, float]:
+    """
+    Return by how much a fit to a run would change the logarithms of the used parameters.
+
+    Beside it stands the norm of what separates run and model. Where the body cannot follow the
+    model, the largest change tells little of it: parameters that make up for each other move far
+    for nothing.
+
+    """
     theta = model.theta(target)
+    missed = misses.values(theta)
     slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
-    return np.linalg.lstsq(slopes[:, used], -misses.values(theta), rcond=1e-6)[0]
+    off = np.linalg.lstsq(slopes[:, used], -missed, rcond=1e-6)[0]
+    return off, float(np.linalg.norm(missed))
 
 
 def _fit(
