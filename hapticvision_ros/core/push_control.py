@@ -415,7 +415,13 @@ class PushControl:
 
     @classmethod
     def retraction(
-        cls, limits: PushLimits, t: float, *, speed: float, to_height: float
+        cls,
+        limits: PushLimits,
+        t: float,
+        *,
+        speed: float,
+        to_height: float,
+        reason: str | None = None,
     ) -> 'PushControl':
         """
         Return a push that has only its retraction left.
@@ -432,6 +438,8 @@ class PushControl:
             Speed of the retraction [m/s].
         to_height : float
             Where it ends [m].
+        reason : str, optional
+            Why, one sentence.
 
         Returns
         -------
@@ -453,6 +461,7 @@ class PushControl:
         )
         control = cls.__new__(cls)
         control._begin(goal, limits, t, to_height, 'aborted')
+        control.reason = reason
         return control
 
     def _begin(

@@ -71,6 +71,7 @@ from hapticvision_ros.nodes.conversions import (
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.push_record import PushRecord, RENEWAL
 from hapticvision_ros.nodes.qos import (
     create_publisher,
     create_service,
@@ -78,6 +79,7 @@ from hapticvision_ros.nodes.qos import (
     interface_class,
 )
 from hapticvision_ros.nodes.runtime import ManagedCellNode, run, THREAD_JOIN_TIMEOUT
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
@@ -254,6 +256,16 @@ PARAMETERS: Final = (
         read_only=True,
     ),
     ParameterSpec(
+        'takeover_time',
+        'double',
+        's',
+        'A controller that starts so soon after one of the same arm died in a push raises the '
+        'tool by itself; 0: it never does.',
+        0.0,
+        600.0,
+        read_only=True,
+    ),
+    ParameterSpec(
         'autostart',
         'bool',
         '-',
@@ -312,6 +324,9 @@ _LIMIT_PARAMETERS: Final = (
 _IDLE_WAIT: Final = 0.1
 _NEAR: Final = 0.002
 """A tool that is so close to the retract height is up [m]."""
+_TAKEOVER_PERIOD: Final = 0.05
+"""Time between two looks whether the tool of a controller that died can be raised [s]."""
+_TAKEN_OVER: Final = 'The controller before this one died in the push: the tool is raised.'
 
 
 class ArmPushController(ManagedCellNode):
@@ -343,6 +358,14 @@ class ArmPushController(ManagedCellNode):
         self._report = create_publisher(self, PUSH_REPORT)
         self._told_velocity: float | None = None
         self._told_phase: str | None = None
+        port = values.integer('simulated_world_port')
+        self._record = PushRecord(
+            f'{self.context.get_domain_id()}{self.get_fully_qualified_name()}',
+            f'{values.text("backend")} {values.text("command_topic")} {port}',
+        )
+        self._recorded = threading.Event()
+        self._takeover: Any = None
+        self._takeover_end = 0.0
         self._arm: Arm | None = None
         self._reader: threading.Thread | None = None
         self._disconnecting = threading.Event()
@@ -361,15 +384,25 @@ class ArmPushController(ManagedCellNode):
         diagnostics.add('push', self._find_push)
         diagnostics.add('readings', self._find_readings)
         self.spawn(self._listen, 'load cell reader')
+        self._begin_takeover()
         self.spawn(self._run, 'push control')
-        if values.flag('autostart'):
+        self.spawn(self._keep_record, 'push record')
+        if values.flag('autostart') or self._takeover is not None:
             self._start_up()
 
     def close(self) -> None:
         """Stop the push, then the arm."""
         self._work.set()
+        self._recorded.set()
         super().close()
         control = self._control
+        taking_over = self._takeover is not None or (
+            control is not None and control.reason == _TAKEN_OVER
+        )
+        # Whoever ends this node sees to its tool; one that takes the place of a failed one does so
+        # by itself.
+        if self.failure is None and not taking_over:
+            self._record.remove()
         if control is not None:
             control.abort('The controller ends.', time.monotonic())
             self._publish(Command(0.0, control.phase), ended=True)
@@ -432,6 +465,64 @@ class ArmPushController(ManagedCellNode):
         if self._reader is not None:
             self._reader.join(THREAD_JOIN_TIMEOUT)
         self._arm, self._reader, self._tool = None, None, None
+
+    # -- a push that was left to itself ---------------------------------------------------------
+
+    def _keep_record(self) -> None:
+        """Keep a note on the disk while a push is under way."""
+        noted = False
+        while not self.stopping.is_set():
+            self._recorded.clear()
+            try:
+                if self._control is not None:
+                    self._record.renew()
+                    noted = True
+                elif noted:
+                    self._record.remove()
+                    noted = False
+            except OSError as error:
+                self.get_logger().warning(
+                    f'That a push is under way cannot be noted: {error}. A controller that takes '
+                    'the place of this one would not raise the tool by itself.',
+                    once=True,
+                )
+            self._recorded.wait(RENEWAL)
+
+    def _begin_takeover(self) -> None:
+        """See whether a controller of this arm has just died in a push."""
+        limit, age = self.parameters.real('takeover_time'), self._record.age()
+        if age is None or not limit:
+            return
+        if age > limit:
+            self.get_logger().warning(
+                f'A push was left to itself {age:.0f} s ago: the tool may be low.'
+            )
+            self._record.remove()
+            return
+        self._takeover_end = time.monotonic() + limit
+        self._takeover = self.create_timer(
+            _TAKEOVER_PERIOD, self._take_over, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _take_over(self) -> None:
+        """
+        Raise a tool that was left low, as the controller that died would have done.
+
+        Motion was allowed to that one, and nobody can be waited for: the experiment may be over,
+        and the orchestrator may not reach this controller.
+        """
+        now, tool = time.monotonic(), self._tool
+        if self._control is not None or self._emergency or now > self._takeover_end:
+            # Somebody else sees to the tool, or has to.
+            self._end_takeover()
+        elif tool is not None and now - tool.t <= self._limits.stale_time:
+            if not self._begin_retraction(now, tool, _TAKEN_OVER):
+                self._record.remove()
+            self._end_takeover()
+
+    def _end_takeover(self) -> None:
+        self.destroy_timer(self._takeover)
+        self._takeover = None
 
     # -- what comes in --------------------------------------------------------------------------
 
@@ -569,18 +660,23 @@ class ArmPushController(ManagedCellNode):
     def _retract(self, now: float) -> bool:
         """Begin to raise the tool unless it is up or on its way, and return whether it is up."""
         tool = self._movable(now)
-        if self._control is not None:
-            return False
+        return self._control is None and not self._begin_retraction(now, tool)
+
+    def _begin_retraction(self, now: float, tool: Reading, reason: str | None = None) -> bool:
+        """Begin to raise the tool, and return whether it was not up."""
         height = min(self.parameters.real('retract_height'), self._limits.highest_height)
         if tool.value >= height - _NEAR:
-            return True
+            return False
         speed = self.parameters.real('release_speed')
-        self._go(PushControl.retraction(self._limits, now, speed=speed, to_height=height))
-        return False
+        self._go(
+            PushControl.retraction(self._limits, now, speed=speed, to_height=height, reason=reason)
+        )
+        return True
 
     def _go(self, control: PushControl) -> None:
         self._stop_reason = None
         self._control = control
+        self._recorded.set()
         self._work.set()
 
     def _read(self) -> None:
@@ -635,6 +731,7 @@ class ArmPushController(ManagedCellNode):
             if control.finished:
                 # Before the last phase is told: who hears it may start the next push at once.
                 self._control = None
+                self._recorded.set()
                 self._tell(control.report())
             self._publish(command, ended=control.finished)
             if now - due > self._period:

@@ -23,6 +23,7 @@ something fails is told in `hapticvision_ros.core.experiment.Experiment`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
+from functools import partial
 import json
 from pathlib import Path
 import threading
@@ -278,44 +279,67 @@ _LEVELS: Final = {
 }
 
 
+class _Server:
+    """
+    A service of another node, and the client to it.
+
+    Parameters
+    ----------
+    node : Node
+        Whose client it is.
+    connect : callable
+        Makes a client.
+
+    """
+
+    def __init__(self, node: Any, connect: Callable[[], Any]) -> None:
+        self._node = node
+        self._connect = connect
+        self.client = connect()
+
+    def connect_anew(self, trouble: str) -> None:
+        """Take a new client: one may be stuck with a server that was killed."""
+        self._node.get_logger().warning(
+            f'{self.client.service_name}: {trouble}: asked anew, by a new client'
+        )
+        self._node.destroy_client(self.client)
+        self.client = self._connect()
+
+
 class _Call:
     """
     One request to a service: waits for the server, sends, and holds the answer.
 
-    A server that was killed still seems to be there for a while: without an answer in
-    `patience` [s] the request is sent again.
+    A server that was killed still seems to be there for a while, and that of the node that takes
+    its place may not be found: after `patience` [s] without a server or an answer a new client
+    begins anew.
     """
 
-    def __init__(self, client: Any, request: Any, patience: float = PATIENCE) -> None:
-        self._client = client
+    def __init__(self, server: _Server, request: Any, patience: float = PATIENCE) -> None:
+        self._server = server
         self._request = request
         self._patience = patience
-        self._sent = 0.0
+        self._since = time.monotonic()
         self._future: Any = None
-
-    @property
-    def server_found(self) -> bool:
-        """Whether the request has gone out."""
-        return self._future is not None
 
     def answer(self) -> Any:
         """Return the answer, or None while there is none."""
-        if self._future is None:
-            if not self._client.service_is_ready():
-                return None
-            self._future = self._client.call_async(self._request)
-            self._sent = time.monotonic()
-        if self._future.done():
+        if self._future is None and self._server.client.service_is_ready():
+            self._future = self._server.client.call_async(self._request)
+            self._since = time.monotonic()
+        if self._future is not None and self._future.done():
             return self._future.result()
-        if time.monotonic() - self._sent > self._patience:
+        if time.monotonic() - self._since > self._patience:
             self.drop()
+            self._server.connect_anew('not found' if self._future is None else 'no answer')
             self._future = None
+            self._since = time.monotonic()
         return None
 
     def drop(self) -> None:
         """Forget a request whose answer is no longer waited for."""
         if self._future is not None and not self._future.done():
-            self._client.remove_pending_request(self._future)
+            self._server.client.remove_pending_request(self._future)
 
 
 class _NewSample:
@@ -373,14 +397,19 @@ class ExperimentOrchestrator(CellNode):
         self._status: GoalStatus | None = None
 
         self._intakes = {topic: Intake.of(self, topic, raw=True) for topic in TOPICS}
-        self._clients_of = {
-            service.name: create_client(self, service)
+        self._servers = {
+            service.name: _Server(self, partial(create_client, self, service))
             for service in (PLAN, TARE, ENABLE, PUSH, STOP, RETRACT, RESET)
         }
-        self._configure = self.create_client(SetParameters, f'{ARM_NODE}/set_parameters')
-        self._limits = self.create_client(GetParameters, f'{ARM_NODE}/get_parameters')
-        self._arm_state = self.create_client(GetState, f'{ARM_NODE}/get_state')
-        self._change_arm = self.create_client(ChangeState, f'{ARM_NODE}/change_state')
+        self._configure, self._limits, self._arm_state, self._change_arm = (
+            _Server(self, partial(self.create_client, kind, f'{ARM_NODE}/{name}'))
+            for kind, name in (
+                (SetParameters, 'set_parameters'),
+                (GetParameters, 'get_parameters'),
+                (GetState, 'get_state'),
+                (ChangeState, 'change_state'),
+            )
+        )
         self._changing = False
         self._room_seen = 0.0
         self._push_report: Any = None
@@ -618,7 +647,7 @@ class ExperimentOrchestrator(CellNode):
                     self.parameters.integer('write_buffer'),
                 )
                 # The fitter works on what is recorded, no more; without one there is only a bag.
-                fitter = self._clients_of[RESET.name]
+                fitter = self._servers[RESET.name].client
                 if fitter.service_is_ready():
                     fitter.call_async(Trigger.Request())
             case Step.START:
@@ -682,7 +711,7 @@ class ExperimentOrchestrator(CellNode):
         """Begin a request; `_on_answer` sees to its end."""
         assert self._experiment is not None
         self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
-        self._call = _Call(self._clients_of[service.name], request, patience)
+        self._call = _Call(self._servers[service.name], request, patience)
         self._asked = (service, request)
 
     def _look_at_arm(self, experiment: Experiment) -> None:
@@ -839,7 +868,7 @@ class ExperimentOrchestrator(CellNode):
         service, request = self._asked
         if self._call is None:
             if now >= self._ask_again_at:
-                self._call = _Call(self._clients_of[service.name], request)
+                self._call = _Call(self._servers[service.name], request)
             return
         answer = self._call.answer()
         if answer is None:

@@ -14,6 +14,7 @@
 
 """The arm push controller as a process, with load cell driver, on the simulated cell."""
 
+import os
 import re
 import signal
 import subprocess
@@ -315,6 +316,35 @@ def test_a_push_goes_on_only_while_someone_watches(start_node, world, load_cell,
     until(lambda: reports, 'the report')
     assert 'has been silent for 1 s' in reports[-1].message
     assert tool[-1].data > low + 0.009
+
+
+@pytest.fixture
+def notes(tmp_path, monkeypatch):
+    monkeypatch.setenv('TMPDIR', str(tmp_path))
+    return tmp_path / f'hapticvision_ros_{os.getuid()}'
+
+
+def test_who_takes_the_place_of_a_controller_that_died_in_a_push_raises_the_tool_unasked(
+    notes, controller, start_node, world, probe, until
+):
+    tool, phases = probe.listen(TOOL_HEIGHT), probe.listen(PHASE)
+    reports = probe.listen(PUSH_REPORT)
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    probe.start_push()
+    until(lambda: 'hold' in texts(phases), 'the hold')
+    controller.stop(signal.SIGKILL)
+    low = tool[-1].data
+    assert low < BLOCK_HEIGHT
+    parameters = {'simulated_world_port': world.port, **QUICK_PUSH, 'retract_height': 0.048}
+    successor = start_node('arm_push_controller', parameters)
+    # Nobody has called a service.
+    until(lambda: reports, 'the report')
+    assert 'died in the push' in reports[-1].message
+    assert tool[-1].data > 0.048 - 0.002
+    assert texts(phases)[-1] == 'aborted'
+    until(lambda: not list(notes.iterdir()), 'the end of what was left to do')
+    assert successor.stop() == 0
 
 
 def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_cell, probe, until):

@@ -17,6 +17,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 import json
 from pathlib import Path
 import signal
@@ -46,7 +47,11 @@ from hapticvision_ros.core.autonomy import Budget, Findings, Push
 from hapticvision_ros.core.experiment import Deadlines, Experiment, ExperimentGoal, Step
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.nodes.conversions import values_from_status
-from hapticvision_ros.nodes.experiment_orchestrator import ExperimentOrchestrator
+from hapticvision_ros.nodes.experiment_orchestrator import (
+    ACTIVE,
+    ExperimentOrchestrator,
+    PATIENCE,
+)
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
@@ -354,6 +359,33 @@ def test_no_push_is_made_before_all_that_a_trial_needs_comes_in(node, monkeypatc
     counts[POINTS.name] += 1
     node._on_recording(experiment, 0.0)
     assert experiment.step is Step.START
+
+
+def test_an_arm_whose_services_are_not_found_any_more_is_asked_by_new_clients(node, monkeypatch):
+    # As a client that keeps to a controller that was killed.
+    stuck = SimpleNamespace(service_is_ready=lambda: False, service_name='get_state')
+    made = [stuck]
+    answer = SimpleNamespace(current_state=SimpleNamespace(id=ACTIVE))
+
+    def connect():
+        asked = SimpleNamespace(done=lambda: True, result=lambda: answer)
+        made.append(
+            SimpleNamespace(service_is_ready=lambda: True, call_async=lambda request: asked)
+        )
+        return made[-1]
+
+    monkeypatch.setattr(node._arm_state, 'client', stuck)
+    monkeypatch.setattr(node._arm_state, '_connect', connect)
+    experiment = came_to(Step.BRING_UP)
+    monkeypatch.setattr(node, '_experiment', experiment)
+    node._enter(experiment, 0.0)
+    now = time.monotonic()
+    for later in (0.5 * PATIENCE, 1.1 * PATIENCE, 1.2 * PATIENCE):
+        assert experiment.step is Step.BRING_UP
+        monkeypatch.setattr(time, 'monotonic', partial(float, now + later))
+        node._poll(experiment, later)
+    assert experiment.step is Step.CHECK
+    assert len(made) == 2
 
 
 def client(*arguments: str) -> subprocess.CompletedProcess[str]:
