@@ -392,8 +392,9 @@ class ArmPushController(ManagedCellNode):
 
     def close(self) -> None:
         """Stop the push, then the arm."""
-        self._work.set()
-        self._recorded.set()
+        self.stopping.set()
+        for waited_for in (self._work, self._urgent, self._recorded):
+            waited_for.set()
         super().close()
         control = self._control
         taking_over = self._takeover is not None or (
@@ -736,8 +737,10 @@ class ArmPushController(ManagedCellNode):
             self._publish(command, ended=control.finished)
             if now - due > self._period:
                 self._late_cycles += 1
-            # After a long interruption the missed cycles are not made up for.
-            due = max(due + self._period, now)
+            if now >= due:
+                # After a long interruption the missed cycles are not made up for. What was urgent
+                # does not put off the next one.
+                due = max(due + self._period, now)
             self._urgent.wait(max(0.0, due - time.monotonic()))
         if control.reason is not None:
             self.get_logger().warning(f'The push was aborted: {control.reason}')

@@ -14,11 +14,14 @@
 
 """The arm push controller as a process, with load cell driver, on the simulated cell."""
 
+from dataclasses import replace
+import math
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 
 from hapticvision_ros.bag.contract import (
     CONTACT_POINT,
@@ -33,11 +36,15 @@ from hapticvision_ros.bag.contract import (
     TOOL_HEIGHT,
     WRENCH,
 )
+from hapticvision_ros.core.devices import ArmState
+from hapticvision_ros.nodes.arm_push_controller import ArmPushController
 from hapticvision_ros.nodes.conversions import (
     contact_force,
     point_to_message,
+    stamp_from_ns,
     values_from_status,
 )
+from hapticvision_ros.nodes.qos import interface_class
 from hapticvision_ros.share import share_folder
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -214,6 +221,58 @@ def test_too_large_a_force_aborts_the_push(start_node, world, load_cell, probe, 
     assert 'exceeds the limit of 5 N' in reports[-1].message
     overshoot = float(values_from_status(reports[-1])['overshoot_N'])
     assert overshoot == pytest.approx(max(0.0, largest - 5.0), abs=0.1)
+
+
+class StandingArm:
+    """An arm that stays where it is, and keeps what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def read(self, timeout):
+        time.sleep(0.01)
+        return [ArmState(time.time_ns(), 0.05)]
+
+    def command(self, push_velocity):
+        self.told.append(push_velocity)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize('force', [150.1, -150.1, math.nan])
+def test_a_force_beyond_its_limit_acts_when_it_comes_and_not_with_the_next_cycle(
+    ros, probe, until, monkeypatch, force
+):
+    arm = StandingArm()
+    monkeypatch.setattr(ArmPushController, '_connect', lambda self: arm)
+    node = ArmPushController()
+    wrench = interface_class(WRENCH.msgtype)()
+
+    def send(value):
+        wrench.header.stamp = stamp_from_ns(time.time_ns())
+        wrench.wrench.force.z = -value
+        forces.publish(wrench)
+
+    try:
+        node._limits = replace(node._limits, stale_time=60.0, heartbeat_time=0.0)
+        # The next cycle comes after the test.
+        node._period = 600.0
+        forces = probe.publisher(WRENCH)
+        send(0.1)
+        until(lambda: node._force is not None and node._tool is not None, 'the readings')
+        node._enabled = True
+        node._start(time.monotonic())
+        until(lambda: arm.told, 'the first cycle')
+        assert node._control.reason is None
+        send(force)
+        until(lambda: node._last_report is not None, 'the end of the push', 10.0)
+        reason = 'exceeds the limit of 150 N' if math.isfinite(force) else 'not a number'
+        assert reason in node._last_report.reason
+        assert max(arm.told) <= 0.0
+    finally:
+        node.close()
+        node.destroy_node()
 
 
 LISTENER = """
