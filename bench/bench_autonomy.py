@@ -17,7 +17,7 @@
 Bench: how often an autonomous experiment decides for the effect that acts.
 
 The loop of `doc/autonomous.md` without ROS: the simulated world, whose integrator is its own,
-makes a grid of two short pushes of one depth; the trials, and nothing else, are diagnosed;
+makes a grid of one or two short pushes of one depth; the trials, and nothing else, are diagnosed;
 `decide` chooses the next push; the world makes it, until the end. A case is a line of JSON in the
 file `--lines`, so that a long bench can be stopped and taken up again;
 ``--summary`` makes the table.
@@ -74,15 +74,15 @@ REFERENCE_HOLD = 6.0
 DONE = (Ending.DECIDED.value, Ending.TIGHT.value)
 
 
-def campaign_of(seed: int) -> Campaign:
-    """Return the grid on a body of chance: two speeds at one depth, short holds."""
+def campaign_of(seed: int, speeds: int) -> Campaign:
+    """Return the grid on a body of chance: some speeds at one depth, short holds."""
     random = np.random.default_rng((seed, 29))
     relaxation = math.exp(random.uniform(math.log(1.0), math.log(5.0)))
     share = random.uniform(0.2, 0.6)
     depth = random.uniform(0.003, 0.008)
     K1 = math.exp(random.uniform(math.log(300.0), math.log(5000.0)))
     body = Body(K1, share * K1 * relaxation, (1.0 - share) * K1 * relaxation)
-    pushes = tuple(MadePush(speed, depth, HOLD, RECOVER) for speed in SPEEDS)
+    pushes = tuple(MadePush(speed, depth, HOLD, RECOVER) for speed in SPEEDS[:speeds])
     force = peak_force(Campaign(body, pushes, Sensors(ForceNoise(0.0), 0.0)))
     sensors = Sensors(
         ForceNoise(0.005 * force),
@@ -109,8 +109,8 @@ def cell_of(campaign: Campaign) -> Cell:
     return Cell(
         limits=PushLimits(**{each.name: arm[each.name] for each in fields(PushLimits)}),
         usual=PushGoal(**goal | {'depth': depth, 'hold_time': HOLD, 'recover_time': RECOVER}),
-        slowest=min(SPEEDS),
-        fastest=max(SPEEDS),
+        slowest=min(each.speed for each in campaign.pushes),
+        fastest=max(each.speed for each in campaign.pushes),
         deepest=depth,
         longest_hold=HOLD,
     )
@@ -146,7 +146,7 @@ def loop(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, name = task['seed'], task['effect']
-    campaign = campaign_of(seed)
+    campaign = campaign_of(seed, task['grid'])
     result = dict(task)
     acting = list[Undeclared]()
     if name:
@@ -181,7 +181,7 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
 
 def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the cases that are asked for."""
-    common = {'budget': args.budget, 'precision': args.precision}
+    common = {'grid': args.grid, 'budget': args.budget, 'precision': args.precision}
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effect': '', 'r': 0.0}
     for seed in range(args.first, args.first + args.seeds):
@@ -191,7 +191,7 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
-    return json.dumps([task[k] for k in ('seed', 'effect', 'r', 'budget', 'precision')])
+    return json.dumps([task[k] for k in ('seed', 'effect', 'r', 'grid', 'budget', 'precision')])
 
 
 def verdict(result: dict[str, Any]) -> str:
@@ -267,6 +267,7 @@ def main() -> None:
         '--r', type=float, default=1.0, help='misfit of the base model over the noise'
     )
     parser.add_argument('--effects', nargs='+', default=EFFECTS)
+    parser.add_argument('--grid', type=int, choices=(1, 2), default=2, help='pushes of the grid')
     parser.add_argument('--budget', type=int, default=6, help='pushes after the grid')
     parser.add_argument('--precision', type=float, default=0.0)
     parser.add_argument('--summary', action='store_true')
