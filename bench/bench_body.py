@@ -32,6 +32,9 @@ from hapticvision_ros.core.body.links import link_law, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, simulate
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.records import FloatArray
+from hapticvision_ros.core.surface.deformation import mesh_height
+from hapticvision_ros.core.surface.mesh import Mesh
 from hapticvision_ros.sim.soft_body import SoftBody, SoftMaterial
 import numpy as np
 
@@ -173,6 +176,61 @@ def match(pitch: float, depth: float, rounds: int) -> None:
             )
 
 
+def _stiffer(body: Lattice, law: LinkLaw, path: ToolMotion) -> tuple[FloatArray, FloatArray]:
+    """Return depths of a steady push, and the force over that of small displacements there."""
+    short = Accuracy(longest_step=0.25)
+    slight, run = (
+        simulate(body, law, TOOL, path, Surroundings(small=small), accuracy=short)
+        for small in (True, False)
+    )
+    middles = [0.5 * (one.t[1:] + one.t[:-1]) for one in (slight, run)]
+    told = np.interp(middles[1], middles[0], slight.force)
+    return SIZE[2] - path.at(middles[1]), run.force / told
+
+
+def geometry(pitch: float, depths: list[float], *, calibrated: bool) -> None:
+    """Print what a deep push does to a body of springs, to one of dashpots, and to the match."""
+    body, path = box(SIZE, pitch), motion(max(depths))
+    path = ToolMotion(path.t[:2], path.height[:2])
+    alone = [_stiffer(body, LinkLaw(*of), path) for of in ((1e3, 0.0, 1e15), (1e-3, 1e3, 1e15))]
+    model = Model()
+    print('depth mm | of the height % | springs | dashpots | force % | height % | recovered')
+    for depth in depths:
+        line = [f'{1e3 * depth:g}', f'{100 * depth / SIZE[2]:.1f}']
+        line += [f'{np.interp(depth, *one):.3f}' for one in alone]
+        if calibrated:
+            given = parameters(depth)
+            found = calibrate(body, model, given, TOOL, motion(depth), rounds=6)
+            line += [f'{100 * found.force_misfit:.2f}', f'{100 * found.height_misfit:.2f}']
+            line += [', '.join(f'{k} {v / given[k]:.3f}' for k, v in found.recovered.items())]
+        print(' | '.join(line), flush=True)
+
+
+def edge(pitches: list[float], depth: float) -> None:
+    """Print what it makes where the nodes fall under the tool: its axis is shifted by parts."""
+    path = ToolMotion.trial(SIZE[2], depth=depth, push_speed=1.3e-3, hold=20.0, recovery=40.0)
+    end = float(path.t[-1])
+    print('cell mm | axis aside mm | nodes | G a mm | force over the model % | residual mm')
+    for pitch in pitches:
+        body = box(SIZE, pitch)
+        for share in (0.0, 0.125, 0.25, 0.375, 0.5):
+            tool = replace(TOOL, x=share * pitch, y=share * pitch)
+            scale = gauge(body, tool).stiffness
+            given = parameters(depth)
+            found = calibrate(body, Model(), given, tool, path, at=(0.0, end), rounds=4)
+            rest, last = (Mesh(*found.run.surface(frame)) for frame in (0, 1))
+            rest, last = (
+                replace(one, points=one.points - np.array([tool.x, tool.y, 0.0]))
+                for one in (rest, last)
+            )
+            left = mesh_height(rest).value - mesh_height(last).value
+            print(
+                f'{1e3 * pitch:g} | {1e3 * share * pitch:.2f} | {found.run.touching.max()} | '
+                f'{1e3 * scale * pitch:.1f} | {100 * found.force_misfit:.2f} | {1e3 * left:.3f}',
+                flush=True,
+            )
+
+
 def explicit(pitch: float, depth: float, steps: list[float]) -> None:
     """Print time and error of the explicit body with more and more mass, volumes left alone."""
     body = box(SIZE, pitch)
@@ -210,19 +268,27 @@ def explicit(pitch: float, depth: float, steps: list[float]) -> None:
 def main() -> int:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('what', choices=('accuracy', 'growth', 'match', 'explicit'))
+    parser.add_argument(
+        'what', choices=('accuracy', 'growth', 'match', 'geometry', 'edge', 'explicit')
+    )
     parser.add_argument('--pitch-mm', type=float, nargs='+', default=[5.0])
-    parser.add_argument('--depth-mm', type=float, default=10.0)
+    parser.add_argument('--depth-mm', type=float, nargs='+', default=[10.0])
     parser.add_argument('--rounds', type=int, default=6)
     parser.add_argument('--skip', type=int, default=0, help='effects to leave out')
     parser.add_argument('--small', action='store_true', help='keep the directions of the links')
+    parser.add_argument('--bare', action='store_true', help='of the geometry only, uncalibrated')
     arguments = parser.parse_args()
-    depth = 1e-3 * arguments.depth_mm
+    depths = [1e-3 * d for d in arguments.depth_mm]
+    depth = depths[0]
     pitches = [1e-3 * p for p in arguments.pitch_mm]
     if arguments.what == 'accuracy':
         accuracy(pitches[0], depth, arguments.small, arguments.skip)
     elif arguments.what == 'growth':
         growth(pitches, depth)
+    elif arguments.what == 'geometry':
+        geometry(pitches[0], depths, calibrated=not arguments.bare)
+    elif arguments.what == 'edge':
+        edge(pitches, depth)
     elif arguments.what == 'explicit':
         explicit(pitches[0], depth, [4e-3, 1e-3, 2.5e-4])
     else:

@@ -22,6 +22,7 @@ folder that has one has the rest. Several bags have a folder each, and a table o
 import argparse
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import contextlib
+from dataclasses import replace
 import math
 import os
 from pathlib import Path
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 _TABLE_SCHEMA: Final = 'hapticvision/shapes/1'
 _MOST_FRAMES: Final = 100
+_OF_A_LOOK: Final = re.compile(r'(surface|cloud)_\d+\.(ply|vtk)')
 _MM: Final = 1e-3
 _LEAST_HELD_OUT: Final = 2
 _MOST_TURNS: Final = 3
@@ -97,6 +99,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar='R',
         help="stiffness against a change of volume over Young's modulus (default: 14)",
+    )
+    parser.add_argument(
+        '--small',
+        action='store_true',
+        help='links keep their directions, as if the push were small: a body that is pressed deep '
+        'then follows the identified model (with more --rounds) as it does not otherwise',
     )
     parser.add_argument(
         '--rounds',
@@ -180,6 +188,10 @@ def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -
     made['shape.html'] = page.encode()
     with _told(out):
         write_whole(out, made.items())
+        # An earlier run may have had more looks.
+        for path in out.iterdir():
+            if _OF_A_LOOK.fullmatch(path.name) and path.name not in made:
+                path.unlink()
         write_json(out / 'shape.json', document)
     _print(study, document['warnings'])
     print(f'\nWrote {out / "shape.json"}, {out / "shape.html"} and {len(made) - 1} files beside.')
@@ -255,11 +267,9 @@ def _settings(args: argparse.Namespace) -> 'ShapeSettings':
     from hapticvision_ros.core.surface.cloud import CloudSettings
     from hapticvision_ros.core.surface.study import ShapeSettings
 
-    surroundings = (
-        Surroundings()
-        if args.volume_ratio is None
-        else Surroundings(volume_ratio=args.volume_ratio)
-    )
+    surroundings = Surroundings(small=args.small)
+    if args.volume_ratio is not None:
+        surroundings = replace(surroundings, volume_ratio=args.volume_ratio)
     return ShapeSettings(
         cloud=CloudSettings(tool_radius=radius, average=args.average),
         pitch=pitch,

@@ -54,9 +54,13 @@ def _result(path: Path, **changed: float | None) -> Path:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return what the verb wrote for the shipped bag with clouds, in coarse cells."""
     place = tmp_path_factory.mktemp('shape')
+    out = place / 'out'
+    out.mkdir()
+    for name in ('surface_9.ply', 'surface_9.vtk', 'cloud_9.ply', 'cloud_mine.ply'):
+        (out / name).write_text('of an earlier run, or of somebody else')
     arguments = ['shape', str(_result(place / 'result.json')), str(CLOUDS), *TOOL]
-    assert main([*arguments, '--rounds', '1', '--cell', '5mm', '--out', str(place / 'out')]) == 0
-    return place / 'out'
+    assert main([*arguments, '--small', '--rounds', '1', '--cell', '5mm', '--out', str(out)]) == 0
+    return out
 
 
 def _no_nulls_without_reason(document: dict) -> bool:
@@ -69,6 +73,7 @@ def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
     assert document['schema'] == 'hapticvision/shape/1'
     assert document['model'] == 'three-element'
     assert document['which'] == 'before'
+    assert document['simulation']['small_displacements'] is True
     # The true axis is the origin of the bag's frame; the tool is seen, and tells it.
     assert document['contact']['source'] == 'tool'
     assert abs(document['contact']['x_m']) < 5e-4
@@ -97,6 +102,7 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         'comparison.png',
         'animation.gif',
         'surface_before.ply',
+        'cloud_mine.ply',
         *(f'surface_{k}.ply' for k in range(1, looks + 1)),
         *(f'surface_{k}.vtk' for k in range(1, looks + 1)),
         *(f'cloud_{k}.ply' for k in range(1, looks + 1)),

@@ -191,7 +191,7 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """A round of the calibration: how far the fit to its run is off, and the norm of the misses."""
+    """A round of the calibration: how far the fit to its run is off, and how much is missed."""
 
     law: LinkLaw
     run: BodyRun

@@ -103,7 +103,7 @@ class Lattice:
     Raises
     ------
     InputError
-        If no cell is full, or there are more nodes than a machine can hold.
+        If no cell is full.
 
     """
 
@@ -271,6 +271,11 @@ def box(size: Sequence[float], pitch: float) -> Lattice:
     pitch : float
         Side of a cell [m].
 
+    Raises
+    ------
+    InputError
+        If it is thinner than a cell, or there are more nodes than a machine can hold.
+
     """
     _check(pitch, np.array(size))
     cells = np.rint(np.array(size) / pitch).astype(int)
@@ -299,6 +304,11 @@ def from_heights(low: Sequence[float], cell: float, heights: FloatArray, pitch: 
         A column of cells is full as far up as its mean height, rounded; the nodes on top are then
         set to the map's own height where that is less than three quarters of a cell lower, or half
         a cell higher.
+
+    Raises
+    ------
+    InputError
+        If the map is empty, or as for `box`.
 
     """
     from scipy.ndimage import map_coordinates
@@ -358,6 +368,11 @@ def from_cloud(points: FloatArray, pitch: float) -> Lattice:
     -------
     Lattice
         A cell is full where the surface encloses more than half of it.
+
+    Raises
+    ------
+    InputError
+        If the cloud is empty, or as for `box`.
 
     """
     from scipy.ndimage import binary_fill_holes

@@ -71,6 +71,7 @@ def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> d
             'tool_is_sphere': settings.sphere,
             'volume_ratio': surroundings.volume_ratio,
             'slides_on_support': surroundings.support.friction == 0.0,
+            'small_displacements': surroundings.small,
             'calibration_rounds': study.calibration.rounds,
             'force_misfit': study.calibration.force_misfit,
             'height_misfit': study.calibration.height_misfit,

@@ -51,6 +51,11 @@ _SPAN: Final = 0.2
 """How far a cell may be from the usual one for a block to be made of whole ones [-]."""
 _COARSE: Final = 0.02
 """A block that is off by more than this share in its cells is worth a warning."""
+_OTHER_SIZE: Final = 0.1
+"""So is one that is seen to be off by more than this share, and by `_CELLS_OFF` of the map."""
+_CELLS_OFF: Final = 2.0
+_TOP_SHARE: Final = 95.0
+"""Percentile of the seen heights that is the height of a block."""
 _PLACINGS: Final = 5
 _UPRIGHT: Final = 0.5
 """A triangle whose normal rises by less than this is of a side."""
@@ -250,6 +255,7 @@ def study_shape(
                 f'the block is {made} mm in cells of {1e3 * lattice.pitch:.3g} mm: choose --cell '
                 'so that it divides the size'
             )
+        warnings += _other_size(observed, settings.size)
     if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
         warnings.append(
             f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '
@@ -281,6 +287,32 @@ def study_shape(
         ),
         warnings=tuple(warnings),
     )
+
+
+def _other_size(observed: Observation, size: tuple[float, float, float]) -> list[str]:
+    """Return a warning where a block is clearly not as large as it was given."""
+    body = observed.body
+    # A few returns from beside an edge make no row of the block.
+    rows = [body.inside.sum(axis=axis) for axis in (0, 1)]
+    along, across = (np.count_nonzero(2 * one > one.max()) * body.cell for one in rows)
+    seen = np.array(
+        [
+            along,
+            across,
+            float(np.percentile(body.heights[body.inside & body.seen], _TOP_SHARE)),
+        ]
+    )
+    told = np.array(size)
+    off = np.abs(seen - told)
+    # A height is measured, an extent is counted in cells.
+    slack = np.maximum(_OTHER_SIZE * told, [_CELLS_OFF * body.cell, _CELLS_OFF * body.cell, 0.0])
+    if not np.any(off > slack):
+        return []
+    sizes = (' x '.join(f'{1e3 * one:.3g}' for one in of) for of in (told, seen))
+    return [
+        'the block is {} mm as given, but {} mm of it are seen: check --size; a far side '
+        'may be hidden'.format(*sizes)
+    ]
 
 
 def _at_the_tip(

@@ -78,3 +78,20 @@ def test_a_block_that_is_pressed_beside_its_middle_is_placed_where_it_is_seen(
     above = replace(seen.before, points=points[top], covariance=seen.before.covariance[top])
     low = _placed(replace(seen, before=above)).low[:2]
     assert np.allclose(low, -0.5 * np.array(SIZE[:2]) - beside, atol=3e-4)
+
+
+@pytest.mark.parametrize(
+    ('size', 'warned'),
+    [
+        (SIZE, False),
+        ((1.05 * SIZE[0], SIZE[1], SIZE[2]), False),
+        ((1.2 * SIZE[0], SIZE[1], SIZE[2]), True),
+        ((SIZE[0], SIZE[1], 0.85 * SIZE[2]), True),
+    ],
+)
+def test_a_block_that_is_seen_to_be_of_another_size_is_worth_a_warning(
+    observed: Observation, size: tuple[float, float, float], warned: bool
+) -> None:
+    told = study._other_size(observed, size)
+    assert len(told) == warned
+    assert all('check --size' in one for one in told)
