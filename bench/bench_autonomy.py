@@ -74,7 +74,7 @@ REFERENCE_HOLD = 6.0
 DONE = (Ending.DECIDED.value, Ending.TIGHT.value)
 
 
-def campaign_of(seed: int, speeds: int) -> Campaign:
+def campaign_of(seed: int, speeds: int, scatter: float) -> Campaign:
     """Return the grid on a body of chance: some speeds at one depth, short holds."""
     random = np.random.default_rng((seed, 29))
     relaxation = math.exp(random.uniform(math.log(1.0), math.log(5.0)))
@@ -91,14 +91,16 @@ def campaign_of(seed: int, speeds: int) -> Campaign:
         tool_rate=250.0,
         force_zero=0.02 * force,
     )
-    return Campaign(body, pushes, sensors, surface_scatter=1e-5)
+    return Campaign(
+        body, pushes, sensors, scatter=scatter, surface_scatter=5e-5 if scatter else 1e-5
+    )
 
 
 def reference(campaign: Campaign) -> Campaign:
     """Return a campaign on the same body that tells effects apart."""
     depth = campaign.pushes[0].depth
     pushes = (MadePush(v, depth * share, REFERENCE_HOLD, RECOVER) for v, share in REFERENCE)
-    return replace(campaign, pushes=tuple(pushes))
+    return replace(campaign, pushes=tuple(pushes), scatter=0.0)
 
 
 def cell_of(campaign: Campaign) -> Cell:
@@ -146,7 +148,7 @@ def loop(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, name = task['seed'], task['effect']
-    campaign = campaign_of(seed, task['grid'])
+    campaign = campaign_of(seed, task['grid'], task['scatter'])
     result = dict(task)
     acting = list[Undeclared]()
     if name:
@@ -181,7 +183,8 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
 
 def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the cases that are asked for."""
-    common = {'grid': args.grid, 'budget': args.budget, 'precision': args.precision}
+    names = ('grid', 'scatter', 'budget', 'precision')
+    common = {name: getattr(args, name) for name in names}
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effect': '', 'r': 0.0}
     for seed in range(args.first, args.first + args.seeds):
@@ -191,7 +194,9 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
-    return json.dumps([task[k] for k in ('seed', 'effect', 'r', 'grid', 'budget', 'precision')])
+    return json.dumps(
+        [task[k] for k in ('seed', 'effect', 'r', 'grid', 'scatter', 'budget', 'precision')]
+    )
 
 
 def verdict(result: dict[str, Any]) -> str:
@@ -268,6 +273,7 @@ def main() -> None:
     )
     parser.add_argument('--effects', nargs='+', default=EFFECTS)
     parser.add_argument('--grid', type=int, choices=(1, 2), default=2, help='pushes of the grid')
+    parser.add_argument('--scatter', type=float, default=0.0, help='of K1, C1, C2, such as 0.02')
     parser.add_argument('--budget', type=int, default=6, help='pushes after the grid')
     parser.add_argument('--precision', type=float, default=0.0)
     parser.add_argument('--summary', action='store_true')
