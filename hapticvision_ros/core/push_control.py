@@ -487,6 +487,7 @@ class PushControl:
         self._same_heights = 0
         self._travel = 0.0
         self._stepped = t
+        self._last_step: float | None = None
         self._told = 0.0
         self._zero_sum = 0.0
         self._zero_count = 0
@@ -562,6 +563,7 @@ class PushControl:
             self._follow(t, tool)
         if self.phase not in ('done', 'aborted'):
             self._check(t, height, contact_force, heartbeat)
+        self._last_step = t
         if height is None:
             # Without its height the tool may neither push nor retract.
             if self.phase == 'aborted':
@@ -622,6 +624,10 @@ class PushControl:
             self.abort("The arm's height is missing, stale or not a number.", t)
         elif force is None:
             self.abort('The contact force is missing, stale or not a number.', t)
+        elif self._last_step is not None and t - self._last_step > limits.stale_time:
+            # Its threads may have got fresh readings before it: who hung must not go on as if
+            # nothing had been.
+            self.abort(f'The control loop was held up for {t - self._last_step:.2g} s.', t)
         elif abs(force) > limits.max_force:
             self.abort(
                 f'The contact force of {force:.4g} N exceeds the limit of '

@@ -171,6 +171,28 @@ def test_the_release_ends_at_the_clearance_above_the_touch():
     assert bench.height == pytest.approx(expected, abs=lead + GOAL.release_speed * PERIOD)
 
 
+@pytest.mark.parametrize('phase', ['approach', 'push', 'hold', 'release', 'recover'])
+def test_a_loop_that_was_held_up_does_not_go_on_even_where_its_readings_are_fresh(phase):
+    bench = Bench()
+    bench.run_until(phase)
+    # As of a process that is stopped and continued: its arm stands still meanwhile.
+    bench.t += 0.9 * LIMITS.stale_time
+    assert bench.step().phase == phase
+    bench.t += 15.0 * LIMITS.stale_time
+    command = bench.step()
+    assert command.phase == 'aborted' and command.push_velocity <= 0.0
+    assert bench.control.reason == 'The control loop was held up for 1.5 s.'
+    bench.run_to_the_end()
+    assert bench.height > SURFACE
+
+
+def test_a_loop_that_begins_late_may_begin():
+    bench = Bench()
+    bench.t += 15.0 * LIMITS.stale_time
+    bench.run_to_the_end()
+    assert bench.control.reason is None
+
+
 def test_a_single_glitch_is_no_touch():
     bench = Bench()
     bench.run_until('approach')
