@@ -109,6 +109,10 @@ _SEEN: Final = 12.0
 """Gain in likelihood from which on slower noise is seen without contact."""
 _WANDERS: Final = 4.0
 """The same for a zero that wanders: a little too much of it costs little."""
+_SPEED: Final = 2e-3
+"""Relative error of the speed of a push below which it is taken for right."""
+_DRIFTS: Final = 10.0
+"""Gain in likelihood from which on a zero drifts alike in all trials and does not wander."""
 _ZERO: Final = 0.03
 """How far the zero of a load cell may be from the one before contact, over the largest force."""
 _QUIET: Final = 1e-4
@@ -683,6 +687,9 @@ def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     variance = (min(blur, 1.0) * near / np.maximum(trial.force_count, 1.0)) ** 2
     if blur > 1.0:
         variance = np.maximum(variance, _moved(force, middle, slope, blur, _spacing(trial)))
+    push, error = trial.pushed
+    if error > _SPEED:
+        variance[push] += (push.stop - push.start) * (error * force[push]) ** 2
     return np.asarray(variance, dtype=np.float64)
 
 
@@ -1042,34 +1049,77 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
         least_force=least_force,
         least_height=least_height,
     )
-    # A zero that drifts alike in all trials is an effect and does not wander.
-    air = [
-        Record(blocks, rest, since[np.newaxis], np.ones((1, rest.size)))
-        for blocks, rest, since in filter(None, map(_without_contact, trials))
-    ]
-    if sum(record_.residual.size for record_ in air) < _BASELINE:
+    parts = [part for part in map(_without_contact, trials) if part is not None]
+    if sum(rest.size for _, rest, _ in parts) < _BASELINE:
         return memory
     spread = math.sqrt(
-        float(np.sum([np.sum(r.residual**2 * r.blocks.count) for r in air]))
-        / float(np.sum([r.blocks.count.sum() for r in air]))
+        float(np.sum([np.sum(rest**2 * blocks.count) for blocks, rest, _ in parts]))
+        / float(np.sum([blocks.count.sum() for blocks, _, _ in parts]))
     )
     # Where a simulation without noise has a drift, that is all there is.
     if spread <= least_force:
         return memory
-    free = estimate(air, _even(spread, interval), interval)
-    if free.std <= least_force:
+    # A zero that drifts alike in all trials is an effect and does not wander. Few trials whose
+    # zeros wander may seem to drift alike: it must be the better account of both.
+    drifting = _air(parts, drift=True)
+    found = _zero(drifting, memory, _even(spread, interval), interval)
+    if found is None:
         return memory
+    still = _air(parts, drift=False)
+    likelihood = found.deviance - math.log(_told(drifting, found.noise))
+    if deviance(still, found.noise) - likelihood > _DRIFTS:
+        other = _zero(still, memory, _even(spread, interval), interval)
+        if other is not None and other.deviance - likelihood < _DRIFTS:
+            return other.memory
+    return found.memory
+
+
+class _Zero(NamedTuple):
+    """The noise of a force without contact, its deviance, and what it makes of the memory."""
+
+    noise: SensorNoise
+    deviance: float
+    memory: Memory
+
+
+def _zero(
+    air: Sequence[Record], memory: Memory, start: SensorNoise, interval: float
+) -> _Zero | None:
+    """Return how the force without contact goes about its zero; None where it does not."""
+    free = estimate(air, start, interval)
+    if free.std <= memory.least_force:
+        return None
     brief = free
     if free.correlation_time > memory.force:
-        brief = estimate(air, _even(spread, interval), interval, longest=memory.force)
-    level = deviance(air, brief)
-    slower = level - deviance(air, free)
+        brief = estimate(air, start, interval, longest=memory.force)
+    level, slow = deviance(air, brief), deviance(air, free)
     wanders = wandering(air, brief, interval, memory.force, at_least=0.5 * _WANDERS)
-    if wanders is not None and level - deviance(air, wanders) > max(slower, 0.0) + _WANDERS:
-        return memory._replace(wander=wanders.wander, wander_time=wanders.wander_time)
-    if slower > _SEEN:
-        return memory._replace(force=max(memory.force, _SLOWER * free.correlation_time))
-    return memory
+    if wanders is not None:
+        wandered = deviance(air, wanders)
+        if level - wandered > max(level - slow, 0.0) + _WANDERS:
+            known = memory._replace(wander=wanders.wander, wander_time=wanders.wander_time)
+            return _Zero(wanders, wandered, known)
+    if level - slow > _SEEN:
+        known = memory._replace(force=max(memory.force, _SLOWER * free.correlation_time))
+        return _Zero(free, slow, known)
+    return _Zero(brief, level, memory)
+
+
+def _air(parts: Sequence[tuple[Blocks, FloatArray, FloatArray]], *, drift: bool) -> list[Record]:
+    """Return the force without contact about a zero of each trial, with or without a drift."""
+    return [
+        Record(blocks, rest, since[np.newaxis][: int(drift)], np.ones((1, rest.size)))
+        for blocks, rest, since in parts
+    ]
+
+
+def _told(air: Sequence[Record], noise: SensorNoise) -> float:
+    """Return what records tell of the one parameter that they share: its inverse variance."""
+    told = 0.0
+    for record in air:
+        shared, own = whitener(record.blocks, noise)(np.concatenate((record.shared, record.own)))
+        told += float(shared @ shared) - float(shared @ own) ** 2 / float(own @ own)
+    return told
 
 
 def _without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | None:

@@ -60,7 +60,14 @@ _DENSE: Final = 0.05
 """Quantile of the intervals of the encoders that is theirs where samples are dense."""
 _BURST: Final = 10
 """Samples that may be stamped late together."""
-_EDGE_SAMPLES: Final = 6
+_SILENT: Final = 3.5
+"""Usual intervals of the encoders without a sample that are a gap."""
+_BESIDE: Final = 4
+"""Samples beside a gap that tell the tool's way into it."""
+_UNSEEN: Final = 0.02
+"""Share of the depth that the way in a gap may be off, if the tool went on as before or after."""
+_EDGE_SAMPLES: Final = (6, 3)
+"""Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
 _ZOOMS: Final = 5
@@ -259,6 +266,23 @@ class FitTrial:
         """Return the intervals between the samples within the steps [s], shape (n,)."""
         return np.asarray(self.duration / np.maximum(self.force_count, 1.0))
 
+    @cached_property
+    def pushed(self) -> tuple[slice, float]:
+        """
+        Return the steps of the push, and how well its speed is known relative to itself.
+
+        It is that of a line through the encoders' samples. What the line is off by is the same
+        for the whole push: the error stands for as much as all its steps tell together.
+        """
+        deepest = int(np.argmax(self.displacement >= 0.98 * self.displacement.max()))
+        first = int(np.searchsorted(self.t, self.t_contact, side='right')) - 1
+        steps = slice(max(first, 0), max(deepest, first, 0))
+        way = float(self.displacement[steps.stop] - self.displacement[steps.start])
+        seen = (self.t[steps.stop] - self.t[steps.start]) / max(self.path.interval, 1e-300)
+        if way <= 0.0 or seen < 1.0:
+            return steps, 0.0
+        return steps, math.sqrt(12.0 / seen) * self.path.noise / way
+
     @property
     def peak_force(self) -> float:
         """Return the largest mean force of a step [N]."""
@@ -312,14 +336,31 @@ def prepare(
     """
     prepared: list[FitTrial | None] = []
     warnings: list[str] = []
+    gaps: list[tuple[float, float] | None] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
     for trial, phases in trials:
         made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
+            gaps.append(None)
             continue
         prepared.append(made)
+        gaps.append(_unseen(trial.tool_height, made))
+    others = any(
+        gap is None and made is not None for gap, made in zip(gaps, prepared, strict=True)
+    )
+    for index, gap in enumerate(gaps):
+        if gap is None:
+            continue
+        then = 'so no model is fitted to it' if others else 'taken for one straight way'
+        warnings.append(
+            f'{trials[index][0].name}: the tool height is missing from {gap[0]:.3f} s to '
+            f'{gap[1]:.3f} s, where the tool changed its speed in contact: its way there is not '
+            f'known, {then}'
+        )
+        if others:
+            prepared[index] = None
     deepest = max((float(t.path.displacement.max()) for t in prepared if t is not None), default=1)
     return (
         tuple(t if t is None else replace(t, reference_depth=deepest) for t in prepared),
@@ -718,7 +759,10 @@ def _bent(
             float(knots[groups[number + 1][0]]) if number + 1 < len(groups) else float(knots[-1])
         )
         start, stop = float(knots[group[0]]), float(knots[group[-1]])
-        found = _bend(t, value, (left, start, stop, right), step, noise)
+        around = (left, start, stop, right)
+        # A quick push has few samples of the encoders before it stops.
+        tried = (_bend(t, value, around, step, noise, edge) for edge in _EDGE_SAMPLES)
+        found = next(filter(None, tried), None)
         if found is None:
             new_knots += knots[group].tolist()
             new_levels += levels[group].tolist()
@@ -746,14 +790,15 @@ def _bend(
     around: tuple[float, float, float, float],
     step: float,
     noise: float,
+    edge: int,
 ) -> tuple[Bend, float] | None:
     """Return the acceleration between two straight pieces, and the level where these meet."""
     left, start, stop, right = around
-    margin = max(stop - start, _EDGE_SAMPLES * step)
+    margin = max(stop - start, edge * step)
     lines = []
     for first, last in ((left, start - margin), (stop + margin, right)):
         inside = (t >= first) & (t <= last)
-        if np.count_nonzero(inside) < _EDGE_SAMPLES:
+        if np.count_nonzero(inside) < edge:
             return None
         lines.append(_line(t[inside], value[inside], np.ones(np.count_nonzero(inside))))
     (level, slope), (next_level, next_slope) = lines
@@ -868,6 +913,36 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     for first, last in runs(off):
         late[first:last] = last - first <= _BURST
     return late
+
+
+def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
+    """
+    Return the gap of the encoders in which the way in contact is not known; None if there is none.
+
+    It is known where the straight lines before and after the gap meet the straight way over it.
+    """
+    t, value = height.t, height.value
+    steps = np.diff(t)
+    deepest = float(trial.path.displacement.max())
+    end = math.inf if trial.t_release is None else trial.t_release
+    # Nothing is measured of the contact before the touch, and little after the release.
+    silent = steps > _SILENT * float(np.median(steps))
+    silent &= (t[1:] > trial.t_contact) & (t[:-1] < end)
+    for last in np.flatnonzero(silent).tolist():
+        ways = []
+        for beside in (
+            slice(max(last - _BESIDE + 1, 0), last + 1),
+            slice(last + 1, last + 1 + _BESIDE),
+        ):
+            if t[beside].size < 2:
+                continue
+            level, slope = _line(t[beside], value[beside], np.ones(t[beside].size))
+            ways.append(level + slope * t[last : last + 2])
+        off = [float(np.abs(way - value[last : last + 2]).max()) for way in ways]
+        # A tool that goes straight on is where both lines say; one that stops is not.
+        if max(off, default=0.0) > _UNSEEN * deepest:
+            return float(t[last]), float(t[last + 1])
+    return None
 
 
 def _median_of_five(value: FloatArray) -> FloatArray:
