@@ -39,7 +39,6 @@ from hapticvision_ros.core.diagnosis.records import (
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
-    CERTAIN,
     drawn_out,
     eliminate,
     LEAD,
@@ -80,8 +79,6 @@ _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_SHARE: Final = 0.03
 """A rest takes at least this part out of the residual of its phase."""
-_LOUD_JUMPS: Final = 0.5
-"""Change over the noise from which on jumps that are drawn out are beyond what encoders miss."""
 _LEAST_REST: Final = 0.05
 """A rest below this share of the noise is of no consequence."""
 
@@ -240,11 +237,8 @@ class _Search:
                 status = 'partly_explained'
                 named = [_widened(each) for each in sets]
         unexplained = self._unexplained(bench, base, chosen, rest)
-        drawn = self._drawn_out(bench, base, chosen, rounds[-1])
-        if not rest and drawn is not None:
-            status, unexplained = 'partly_explained' if order else 'unexplained', drawn
-            named = [_widened(each) for each in sets]
-        elif not rest:
+        self._drawn_out(bench, rounds[-1])
+        if not rest:
             loud = louder(chosen, self.phases)
             if loud:
                 # What is left has no smooth form, and has passed for noise.
@@ -353,26 +347,18 @@ class _Search:
             and found.share > _LEAST_SHARE
         )
 
-    def _drawn_out(
-        self, bench: Workbench, base: Refit, chosen: Refit, last: Round
-    ) -> Unexplained | None:
-        """Say what the encoders are too slow to show; return it where it is beyond doubt."""
+    def _drawn_out(self, bench: Workbench, last: Round) -> None:
+        """Say what the encoders are too slow to show, if it seems to be there."""
         # Where it has accepted one, its candidates stand beside a model without that.
         tried = () if last.alike else drawn_out(bench, last.candidates)
         if not tried:
-            return None
+            return
         names = ' or '.join(each.effect for each in tried)
         interval = 1e3 * bench.trials[0].path.interval
-        what = (
+        self.warnings.append(
             f'the force is drawn out where it jumps, as {names} would do it: with a tool height '
             f'every {interval:.3g} ms this cannot be told from how the arm starts and stops'
         )
-        self.warnings.append(what)
-        if tried[0].gain < CERTAIN or tried[0].strength < _LOUD_JUMPS:
-            return None
-        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
-        left = tried[0].strength
-        return Unexplained(share_of_chi2=left**2 / (left**2 + taken**2), where=(what,))
 
     def _next(
         self,

@@ -50,7 +50,7 @@ _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
 _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
-_QUICK_GATE: Final = 20.0
+_QUICK_GATE: Final = 30.0
 """Gain, and lead, of what draws jumps out over less than a sample."""
 _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
@@ -364,6 +364,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
     """Return the candidates that may be accepted, best first."""
     shown = resolved(bench)
     weakest = max(WEAKEST, _SECONDARY * strongest)
+    quick = [e.gain for e in tried if e.refit is not None and fleeting(bench, e.refit, e.effect)]
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
@@ -371,7 +372,9 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
-        return shown and _draws_out(bench, each, weakest)
+        # Where the best of them is refused, it is no other of them either.
+        likely = each.gain > _QUICK_NEAR * max(quick)
+        return shown and likely and _draws_out(bench, each, weakest)
 
     return [
         each

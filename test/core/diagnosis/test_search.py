@@ -187,10 +187,6 @@ def test_what_slow_encoders_do_not_show_is_told_and_not_named(world: Any) -> Non
     measured = world.measure(replace(campaign, sensors=slow), spring, seed=3)
     found = diagnose(measured.pairs)
     assert found.effects == ()
-    assert found.status == 'unexplained'
-    assert found.unexplained is not None
-    (told,) = found.unexplained.where
-    assert 'drawn out' in told
+    (told,) = (each for each in found.warnings if 'drawn out' in each)
     assert 'series_spring' in told
     assert 'every 20 ms' in told
-    assert told in found.warnings
