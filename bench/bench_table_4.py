@@ -38,6 +38,7 @@ from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.surface.deformation import mesh_height
 from hapticvision_ros.core.surface.mesh import Mesh
 from hapticvision_ros.core.units import KGF_PER_MM, MM
+from page import renew
 from paper_case import (
     ALONE,
     FACTORS,
@@ -206,9 +207,7 @@ def main() -> None:
     text = '\n'.join(lines)
     print(text)
     if args.out:
-        page = args.out.read_text()
-        above, rest = page.split(BEGIN)
-        args.out.write_text(f'{above}{BEGIN}\n\n{text}\n{END}{rest.split(END)[1]}')
+        renew(args.out, BEGIN, END, text)
 
 
 if __name__ == '__main__':

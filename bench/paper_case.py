@@ -35,6 +35,7 @@ from hapticvision_ros.core.fit.exponential import fit_exponential
 from hapticvision_ros.core.records import Signal
 from hapticvision_ros.core.units import KGF_PER_MM, MM, STANDARD_GRAVITY
 import numpy as np
+from page import renew
 from scipy.optimize import least_squares, OptimizeResult
 
 TABLES = Path(__file__).with_name('data') / 'wheat_dough.csv'
@@ -526,9 +527,7 @@ def main() -> None:
     text = '\n'.join(lines)
     print(text)
     if args.out:
-        page = args.out.read_text()
-        head, rest = page.split(BEGIN)
-        args.out.write_text(f'{head}{BEGIN}\n\n{text}\n{END}{rest.split(END)[1]}')
+        renew(args.out, BEGIN, END, text)
 
 
 if __name__ == '__main__':
