@@ -21,7 +21,7 @@ import sys
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.campaign import Fit, fit
+from hapticvision_ros.core.fit.campaign import Fit, fit, Memory
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.records import Segmentation, Signal
 from hapticvision_ros.core.segmentation import segment
@@ -273,3 +273,18 @@ def test_a_simulation_without_noise_is_fitted(effects: dict[str, float]) -> None
     if not effects:
         assert found.parameters['C2'].value == pytest.approx(2400.0, rel=1e-3)
         assert found.parameters['C2'].std == pytest.approx(0.0, abs=5.0)
+
+
+def _memory(seed: int, *effects: specimen.Undeclared) -> Memory:
+    """Return what the force without contact tells of the noise in a random campaign."""
+    made = campaigns.random_campaign(seed, scatter=0.0, longest=30.0)
+    trials = campaigns.run(made, effects, seed=seed).trials
+    return fit(
+        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
+    ).noise.memory
+
+
+def test_zeros_of_few_trials_that_wander_alike_do_not_drift() -> None:
+    """Two trials whose zeros happen to go the same way: 0.04 N within 16 s."""
+    memory = _memory(6008)
+    assert 0.02 < memory.wander < 0.08

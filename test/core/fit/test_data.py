@@ -165,3 +165,74 @@ def test_a_corner_within_a_gap_of_the_record_does_no_harm() -> None:
     noise = np.random.default_rng(4).normal(0.0, 1e-6, t.size)
     path = tool_path(Signal(t[kept], (_tool(t, CORNERS, DEPTHS) + noise)[kept]), PHASES)
     assert np.abs(path.at(t[kept]) - _tool(t, CORNERS, DEPTHS)[kept]).max() < 1e-5
+
+
+def _stopping(t: np.ndarray, speed: float, depth: float) -> np.ndarray:
+    """Return the way of a tool from 1 mm above, which stops at 0.5 m/s^2."""
+    stop = 0.9 + (depth + 0.001) / speed
+    half = 0.5 * speed / 0.5
+    since = np.clip(t - stop + half, 0.0, 2.0 * half)
+    moved = speed * np.clip(t - 0.9, 0.0, stop - half - 0.9) + since * (speed - 0.25 * since)
+    return np.asarray(moved - 0.001)
+
+
+def test_a_stop_after_few_samples_of_the_encoders_is_found() -> None:
+    """A push of 0.2 s at 50 Hz: the arm stops within two samples, over 35 ms."""
+    t = np.arange(0.007, 20.0, 0.02)
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(t.size)
+    path = tool_path(Signal(t, _stopping(t, 0.0177, 0.003) + noise), PHASES)
+    (bend,) = path.bends
+    assert bend.duration == pytest.approx(0.0354, rel=0.1)
+    fine = np.linspace(1.0, 3.0, 4001)
+    assert np.abs(path.at(fine) - _stopping(fine, 0.0177, 0.003)).max() < 4e-6
+
+
+def _without(trial: Trial, start: float, stop: float) -> Trial:
+    """Return a trial whose encoders are silent for some time."""
+    seen = (trial.tool_height.t < start) | (trial.tool_height.t > stop)
+    height = Signal(trial.tool_height.t[seen], trial.tool_height.value[seen])
+    return replace(trial, name='silent', tool_height=height)
+
+
+def test_a_trial_whose_encoders_miss_the_stop_is_left_out() -> None:
+    whole = _trial()
+    silent = _without(whole, 2.7, 3.4)
+    (kept, left), told = prepare([(whole, PHASES), (silent, PHASES)])
+    assert kept is not None
+    assert left is None
+    (warning,) = told
+    assert warning.startswith('silent: the tool height is missing from 2.699 s to 3.401 s')
+    # Where there is no other trial, it is better than none.
+    (alone,), told = prepare([(silent, PHASES)])
+    assert alone is not None
+    assert 'one straight way' in told[0]
+
+
+@pytest.mark.parametrize('silence', [(1.5, 2.5), (5.0, 9.0)], ids=['push', 'hold'])
+def test_a_gap_in_which_the_tool_went_straight_on_does_no_harm(
+    silence: tuple[float, float],
+) -> None:
+    made, told = prepare([(_trial(), PHASES), (_without(_trial(), *silence), PHASES)])
+    assert None not in made
+    assert told == ()
+
+
+def test_the_speed_of_a_quick_push_is_known_as_well_as_its_stamps() -> None:
+    """At 25 mm/s stamps that are off by 1 ms are heights that are off by 25 um."""
+    t = np.arange(0.007, 20.0, 0.02)
+    random = np.random.default_rng(0)
+    late, noise = 1e-3 * random.standard_normal(t.size), 1e-6 * random.standard_normal(t.size)
+    phases = replace(PHASES, t_contact=0.95)
+    errors = []
+    for moments in (t, t + late):
+        way = _stopping(moments, 0.0257, 0.0044) - 0.02 * np.maximum(moments - 13.0, 0.0)
+        heights = Signal(t, 0.04 - way - noise)
+        ((made,), _) = prepare([(replace(_trial(), tool_height=heights), phases)])
+        assert made is not None
+        push, error = made.pushed
+        assert made.t[push.start] <= 0.95 < made.t[push.start + 1]
+        assert made.displacement[push.stop] == pytest.approx(0.0044, rel=0.05)
+        errors.append(error)
+    # 25 um of 4.4 mm in 9 samples.
+    assert errors[0] < 1e-3
+    assert 3e-3 < errors[1] < 2e-2
