@@ -19,7 +19,8 @@ This process plays the devices of a cell over the simulated world's protocol: a 
 and an arm at 500 Hz. The load cell driver and the push controller run as a user starts them. In
 each round the tool goes down in the air; at a time of chance the force jumps above the limit. The
 reaction is the time from the datagram with the first such force to the first command that does not
-go down: driver, middleware, control law and back, all of it.
+go down: driver, middleware, control law and back, all of it. The kernel tells when the command
+came, so that it does not matter how late this process looks at it.
 
 A process of its own wakes every millisecond meanwhile and takes note of how late it was: no loop
 of this machine can be better than that.
@@ -37,6 +38,7 @@ import random
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -59,6 +61,9 @@ START = 0.10
 PRIORITY = 10
 DEADLINE = 30.0
 TARGET_MS = 5.0
+SO_TIMESTAMPNS = 35
+"""Of Linux, as the type of what then comes with a datagram; Python has no name for it."""
+TIMESPEC = struct.Struct('qq')
 
 JITTER = """
 import sys, time
@@ -79,13 +84,14 @@ class Devices:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(('127.0.0.1', 0))
         self.socket.setblocking(False)
+        self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.port = self.socket.getsockname()[1]
         self.random = random.Random(1)
         self.listeners: dict[str, tuple[str, int]] = {}
         self.height = START
         self.velocity = 0.0
         self.jump_after: float | None = None
-        self.jumped: float | None = None
+        self.jumped_ns: int | None = None
         self.reactions: list[float] = []
         self.late: list[float] = []
         self.stopping = threading.Event()
@@ -102,20 +108,20 @@ class Devices:
             tick += 1
             self.height -= self.velocity / RATE
             if self.jump_after is not None and now >= self.jump_after:
-                self.jump_after, self.jumped = None, now
+                self.jump_after, self.jumped_ns = None, time.time_ns()
             self.send_readings(tick)
 
     def send_readings(self, tick: int) -> None:
         """Send what the devices measure in this tick."""
         force = self.random.gauss(0.0, 0.02)
-        if self.jumped is not None:
+        if self.jumped_ns is not None:
             force += 2.0 * LIMIT
         stamp = time.time_ns()
         if 'force' in self.listeners:
             packet = FORCE_PACKET.pack(stamp, 0.0, 0.0, -force, 0.0, 0.0, 0.0)
-            if self.jumped is not None and self.reactions[-1:] != [None]:
+            if self.jumped_ns is not None and self.reactions[-1:] != [None]:
                 self.reactions.append(None)
-                self.jumped = time.monotonic()
+                self.jumped_ns = time.time_ns()
             self.send(packet, self.listeners['force'])
         if 'arm' in self.listeners and tick % ARM_EVERY == 0:
             height = self.height + self.random.gauss(0.0, 1e-6)
@@ -132,25 +138,34 @@ class Devices:
             if not select.select([self.socket], [], [], left)[0]:
                 return
             try:
-                data, sender = self.socket.recvfrom(MAX_DATAGRAM)
+                data, told, _, sender = self.socket.recvmsg(MAX_DATAGRAM, 64)
             except OSError:
                 continue
-            now = time.monotonic()
             message = decode(data) or {}
             match message:
                 case {'request': 'push', 'velocity': float() as velocity}:
-                    if velocity <= 0.0 and self.jumped is not None:
-                        self.reactions[-1] = now - self.jumped
-                        self.jumped = None
+                    came_ns = arrival_ns(told)
+                    # What came before the force is no answer to it.
+                    jumped_ns = self.jumped_ns
+                    if velocity <= 0.0 and jumped_ns is not None and came_ns > jumped_ns:
+                        self.reactions[-1] = 1e-9 * (came_ns - jumped_ns)
+                        self.jumped_ns = None
                     self.velocity = velocity
                 case {'request': 'open', 'stream': str() as stream}:
                     self.listeners[stream] = sender
                     self.send(encode({'answer': 'open', 'scene': {}}), sender)
 
 
+def arrival_ns(told: list[tuple[int, int, bytes]]) -> int:
+    """Return when a datagram came, by what the kernel has told with it [ns]."""
+    seconds, nanoseconds = TIMESPEC.unpack(told[0][2])
+    return int(seconds * 10**9 + nanoseconds)
+
+
 def realtime(pid: int) -> None:
-    """Let a process run before all others."""
-    os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    """Let a process run before all others, with the threads that it has."""
+    for thread in Path(f'/proc/{pid}/task').iterdir():
+        os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def call(node: object, client: object, request: object) -> object:
@@ -236,7 +251,7 @@ def main() -> None:
         if args.realtime:
             for process in (*processes, jitter):
                 realtime(process.pid)
-            realtime(0)
+            realtime(os.getpid())
         try:
             devices.late.clear()
             measure(devices, args.rounds)
