@@ -200,12 +200,14 @@ def key(task: dict[str, Any]) -> str:
 
 
 def verdict(result: dict[str, Any]) -> str:
-    """Return what an experiment came to: `right` and `wrong` only where it was decided."""
+    """Return what an experiment came to: `right`, `missed`, `wrong` only where it was decided."""
     if result['ending'] not in DONE:
         return str(result['ending'])
     sets = result['found'][-1][1]
     wanted = [[result['effect']]] if result['effect'] else []
-    return 'right' if sets == wanted else 'wrong'
+    if sets == wanted:
+        return 'right'
+    return 'wrong' if sets else 'missed'
 
 
 def named(result: dict[str, Any], place: int) -> str:
@@ -238,23 +240,23 @@ def summary(results: list[dict[str, Any]]) -> str:
     lines = [
         f'{len(results)} experiments, {failed} failures, {skipped} without such a strength.',
         '',
-        '| acting | n | decided, right | decided, wrong | budget spent | other end | right after '
-        'the grid | chosen pushes, median (most) |',
-        '| --- | --- | --- | --- | --- | --- | --- | --- |',
+        '| acting | n | decided, right | decided that nothing acts | decided, wrong | budget spent '
+        '| other end | right after the grid | chosen pushes, median (most) |',
+        '| --- | --- | --- | --- | --- | --- | --- | --- | --- |',
     ]
     names = list(dict.fromkeys(each['effect'] for each in results))
     for name in [*names, None]:
         of = [each for each in results if name is None or each['effect'] == name]
         said = [verdict(each) for each in of]
         spent = said.count(Ending.BUDGET.value)
-        right, wrong = said.count('right'), said.count('wrong')
+        right, missed, wrong = (said.count(each) for each in ('right', 'missed', 'wrong'))
         first = sum(
             each['found'][0][1] == ([[each['effect']]] if each['effect'] else []) for each in of
         )
         counts = [len(each['pushes']) for each in of]
         lines.append(
-            f'| {"all" if name is None else name or "nothing"} | {len(of)} | {right} | {wrong} '
-            f'| {spent} | {len(of) - right - wrong - spent} | {first} '
+            f'| {"all" if name is None else name or "nothing"} | {len(of)} | {right} | {missed} '
+            f'| {wrong} | {spent} | {len(of) - right - missed - wrong - spent} | {first} '
             f'| {np.median(counts):g} ({max(counts)}) |'
         )
     lines += ['', *(f'- {line(each)}' for each in results if verdict(each) != 'right')]
