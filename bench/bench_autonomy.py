@@ -240,8 +240,8 @@ def summary(results: list[dict[str, Any]]) -> str:
     lines = [
         f'{len(results)} experiments, {failed} failures, {skipped} without such a strength.',
         '',
-        '| acting | n | decided, right | decided that nothing acts | decided, wrong | budget spent '
-        '| other end | right after the grid | chosen pushes, median (most) |',
+        '| acting | n | decided, right | decided that nothing acts | decided, wrong '
+        '| budget spent | other end | right after the grid | chosen pushes, median (most) |',
         '| --- | --- | --- | --- | --- | --- | --- | --- | --- |',
     ]
     names = list(dict.fromkeys(each['effect'] for each in results))
