@@ -27,9 +27,11 @@ MuJoCo is no requirement of this package: ``pip install mujoco`` (4.0 or later),
 """
 
 import argparse
+import contextlib
 from dataclasses import dataclass
 import importlib.util
 import math
+import tempfile
 import time
 from typing import Any
 
@@ -202,9 +204,11 @@ def main() -> None:
         '| dent mm | residual mm |',
         flush=True,
     )
-    for k, (name, made) in enumerate(cases):
-        if args.cases is None or k in args.cases:
-            print(made().line(name), flush=True)
+    # MuJoCo writes its warnings into a file where it is run.
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        for k, (name, made) in enumerate(cases):
+            if args.cases is None or k in args.cases:
+                print(made().line(name), flush=True)
 
 
 if __name__ == '__main__':

@@ -27,6 +27,8 @@ from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
+_OF_A_SPHERE: Final = 'contact_growth'
+"""An effect of the object that no link carries: under a sphere it makes itself."""
 _ALIKE: Final = 5e-4
 """Relative difference between identified and fitted that makes none."""
 _FARTHEST: Final = 0.5
@@ -113,7 +115,8 @@ def calibrate(
     lattice : Lattice
         The body at rest.
     model : Model
-        The identified model; its effects of cell and sensor are left out of account.
+        The identified model; its effects of cell and sensor are left out of account. Under a
+        sphere it may have `contact_growth`, which the contact of the body then has to give.
     parameters : mapping of str to float
         Its parameters by name, SI.
     tool, motion, surroundings, at, accuracy
@@ -129,13 +132,15 @@ def calibrate(
         If the model has an effect of the object that no link can carry, or `simulate` does.
 
     """
-    strange = [e.name for e in model.declared if e.kind == 'object' and e.name not in EFFECTS]
+    effects = (*EFFECTS, _OF_A_SPHERE) if tool.sphere else EFFECTS
+    strange = [e.name for e in model.declared if e.kind == 'object' and e.name not in effects]
     if strange:
+        tip = f'; {_OF_A_SPHERE} is that of a spherical tool' if _OF_A_SPHERE in strange else ''
         raise InputError(
             f'no link can carry {", ".join(strange)}: simulate the shape with a model of '
-            f'{", ".join(EFFECTS)} only'
+            f'{", ".join(EFFECTS)} only{tip}'
         )
-    carried = Model(tuple(name for name in model.effects if name in EFFECTS))
+    carried = Model(tuple(name for name in model.effects if name in effects))
     wanted = {name: parameters[name] for name in carried.names}
     target = np.array(list(wanted.values()))
     top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).meets()
@@ -143,7 +148,8 @@ def calibrate(
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, surroundings, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
-    given = {name for name, value in wanted.items() if value > 0.0}
+    grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
+    given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
     used = np.array([name in given for name in carried.names])
     names = [name for name in carried.names if name in given]
     follows = np.eye(len(names))

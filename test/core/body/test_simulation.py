@@ -265,3 +265,17 @@ def test_a_tool_beside_the_body_is_refused() -> None:
 def test_an_effect_that_no_link_can_carry_is_refused() -> None:
     with pytest.raises(InputError, match='springpot'):
         calibrate(BLOCK, Model(('springpot',)), IDENTIFIED, DISC, TRIAL)
+    with pytest.raises(InputError, match='that of a spherical tool'):
+        calibrate(BLOCK, Model(('contact_growth',)), IDENTIFIED | {'m': 0.5}, DISC, TRIAL)
+
+
+def test_under_a_sphere_the_contact_grows_by_itself() -> None:
+    ball = Tool(0.03, 0.0, 0.0, sphere=True)
+    brief = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=2.0, recovery=2.0)
+    given = IDENTIFIED | {'m': 0.5}
+    found = [
+        calibrate(CUBE, Model(effects), given, ball, brief, rounds=2, accuracy=QUICK)
+        for effects in (('contact_growth',), ())
+    ]
+    assert set(found[0].recovered) == {'K1', 'C1', 'C2', 'm'}
+    assert found[0].force_misfit < 0.75 * found[1].force_misfit
