@@ -34,7 +34,7 @@ from hapticvision_ros.core.units import MM
 if TYPE_CHECKING:
     from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
     from hapticvision_ros.core.pipeline import TrialAnalysis
-    from hapticvision_ros.core.records import Trial
+    from hapticvision_ros.core.records import Segmentation, Trial
 
 type Progress = Callable[[str], None]
 """Told what is being done, in a few words."""
@@ -48,6 +48,8 @@ PATIENCE: Final = 3
 """Pushes in a row that may be made for the same question."""
 SPREAD: Final = 3.0
 """Factor by which a chosen push may be slower, and its hold longer, than those of the grid."""
+LIKE: Final = math.log(1.3)
+"""Sum of the differences of the logarithms of speed and hold of two pushes that are alike."""
 DIGITS: Final = 3
 """Of speed, depth and hold of a push."""
 _UNROUNDED: Final = 1.0 + 10.0 ** (1 - DIGITS)
@@ -194,6 +196,9 @@ class Findings:
         What the diagnosis would push next.
     repeat : Push or None
         Which push is worth a repeat.
+    other : Push or None
+        The push within the limits of the cell that is least like those that were made; None if
+        all are like one of them.
     warnings : tuple of str
         What a reader must know.
 
@@ -208,6 +213,7 @@ class Findings:
     kinds: int = 1
     push: Push | None = None
     repeat: Push | None = None
+    other: Push | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -271,6 +277,7 @@ class Findings:
             'parameters': {name: asdict(each) for name, each in self.parameters.items()},
             'push': None if self.push is None else asdict(self.push),
             'repeat': None if self.repeat is None else asdict(self.repeat),
+            'other': None if self.other is None else asdict(self.other),
         }
 
     @classmethod
@@ -292,6 +299,7 @@ class Findings:
             kinds=int(document['kinds']),
             push=push(document['push']),
             repeat=push(document['repeat']),
+            other=push(document['other']),
             warnings=tuple(document['warnings']),
         )
 
@@ -399,7 +407,9 @@ def _wanted(found: Findings, spent: Spent) -> Push | None:
         if doubt:
             about = () if found.has_rest else found.effects
             reason = f'{doubt}, and this push differs most'
-            return replace(found.push, purpose=purpose, about=about, reason=reason)
+            # One that sharpens may be a repeat, in which an effect hides as it did before.
+            push = found.push if found.other is None else found.other
+            return replace(push, purpose=purpose, about=about, gain=found.push.gain, reason=reason)
     return found.push
 
 
@@ -603,7 +613,8 @@ def look(
             warnings.append(f'{trial.name} is left out: {str(error).rstrip(".")}')
     if not analysed:
         raise UsageError('; '.join(warnings) or 'there is no trial to analyse.')
-    found = diagnose(analysed, progress=progress, workers=workers, limits=cell.reach())
+    reach = cell.reach()
+    found = diagnose(analysed, progress=progress, workers=workers, limits=reach)
     best = found.next_trial
     push = None
     if best is not None:
@@ -633,8 +644,43 @@ def look(
         kinds=len(conditions([each.segmentation for each in analysed])),
         push=push,
         repeat=_repeat(analysed),
+        other=_other(analysed, reach),
         warnings=found.warnings,
     ).among(places, warnings)
+
+
+def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
+    """Return the deepest push that is least like those that were made."""
+    made = [(s.push_speed, _hold(s)) for s in (each.segmentation for each in trials)]
+    middle = math.sqrt(reach.slowest * reach.fastest)
+    best, most = None, LIKE
+    for hold in (reach.longest_hold, reach.longest_hold / SPREAD):
+        for speed in (reach.slowest, reach.fastest, middle):
+            away = min(
+                abs(math.log(speed / v)) + abs(math.log(hold / h)) if v and h else math.inf
+                for v, h in made
+            )
+            if away > most:
+                best, most = (speed, hold), away
+    if best is None or not math.isfinite(most):
+        return None
+    speed, hold = best
+    return Push(
+        purpose='test',
+        push_speed=_rounded(speed),
+        depth=_rounded(reach.deepest),
+        hold_time=_rounded(hold),
+        about=(),
+        gain=0.0,
+        reason='it is least like those that were made',
+    )
+
+
+def _hold(phases: 'Segmentation') -> float:
+    """Return how long a push was held [s]; 0 if it was not."""
+    if phases.t_hold is None or phases.t_release is None:
+        return 0.0
+    return phases.t_release - phases.t_hold
 
 
 def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
@@ -647,14 +693,11 @@ def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
     if not whole:
         return None
     _, place, phases = max(whole, key=lambda item: item[0])
-    hold = 0.0
-    if phases.t_hold is not None and phases.t_release is not None:
-        hold = phases.t_release - phases.t_hold
     return Push(
         purpose='repeat',
         push_speed=phases.push_speed or 0.0,
         depth=phases.depth or 0.0,
-        hold_time=hold,
+        hold_time=_hold(phases),
         about=(),
         gain=0.0,
         reason='only a repeat tells whether what is left is scatter from trial to trial',

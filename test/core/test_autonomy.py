@@ -18,9 +18,11 @@ from dataclasses import replace
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 from hapticvision_ros.core.autonomy import (
+    _other,
     Budget,
     Cell,
     decide,
@@ -127,6 +129,33 @@ def test_an_answer_that_has_not_outlived_a_push_is_tested_by_one(
     assert 'an answer that no push has tested yet' in other.reason
     # Where no push tells more it has to do.
     assert decision(replace(answer, push=None), before=then).push is None
+
+
+def test_an_answer_is_tested_by_the_push_that_is_least_like_those_made() -> None:
+    other = Push('test', 0.008, 0.006, 2.0, (), 0.0, 'it is least like those that were made')
+    for changes, purpose in (({}, 'test'), ({'status': 'unexplained'}, 'explore')):
+        wanted = decision(found(other=other, **changes), before=None).push
+        assert wanted is not None
+        assert (wanted.purpose, wanted.push_speed, wanted.hold_time) == (purpose, 0.008, 2.0)
+        # Only where something is expected of a push at all.
+        assert wanted.gain == SHARPEN.gain
+    # What sharpens a parameter is left to the diagnosis.
+    assert decision(found(other=other, parameters=LOOSE)).push == SHARPEN
+
+
+def test_the_push_least_like_those_made_repeats_none_until_all_are_made() -> None:
+    made, others = [(0.004, 0.006, 2.0)], list[tuple[float, float]]()
+    allowed = cell().reach()
+    for _ in range(9):
+        phases = [SimpleNamespace(push_speed=v, t_hold=1.0, t_release=1.0 + h) for v, _, h in made]
+        trials: Any = [SimpleNamespace(segmentation=each) for each in phases]
+        other = _other(trials, allowed)
+        if other is None:
+            break
+        assert other.depth == 0.006
+        others.append((other.push_speed, other.hold_time))
+        made.append((other.push_speed, other.depth, other.hold_time))
+    assert others == [(0.00133, 6.0), (0.004, 6.0), (0.00133, 2.0), (0.0023, 6.0), (0.0023, 2.0)]
 
 
 def test_a_push_that_separates_tests_the_effect_that_led_before_it() -> None:
@@ -258,7 +287,7 @@ def test_a_budget_that_makes_no_sense_is_refused(changes: dict[str, Any], says: 
 
 
 def test_findings_and_cell_come_back_from_json_as_they_were() -> None:
-    one = found(push=SEPARATE, rest=('x',), warnings=('y',))
+    one = found(push=SEPARATE, other=SHARPEN, rest=('x',), warnings=('y',))
     assert Findings.from_document(json.loads(json.dumps(one.document()))) == one
     assert Cell.from_document(json.loads(json.dumps(cell().document()))) == cell()
 
