@@ -66,6 +66,8 @@ _BESIDE: Final = 4
 """Samples beside a gap that tell the tool's way into it."""
 _UNSEEN: Final = 0.02
 """Share of the depth that the way in a gap may be off, if the tool went on as before or after."""
+_SWAMPED: Final = 0.4
+"""What the speed of a push is not known by makes in the largest force, over the noise there."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
@@ -336,30 +338,24 @@ def prepare(
     """
     prepared: list[FitTrial | None] = []
     warnings: list[str] = []
-    gaps: list[tuple[float, float] | None] = []
+    unknown: list[str | None] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
     for trial, phases in trials:
         made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
-            gaps.append(None)
+            unknown.append(None)
             continue
         prepared.append(made)
-        gaps.append(_unseen(trial.tool_height, made))
-    others = any(
-        gap is None and made is not None for gap, made in zip(gaps, prepared, strict=True)
-    )
-    for index, gap in enumerate(gaps):
-        if gap is None:
+        unknown.append(_unknown_way(trial, made))
+    clear = [made for made, why in zip(prepared, unknown, strict=True) if made and not why]
+    for index, why in enumerate(unknown):
+        if why is None:
             continue
-        then = 'so no model is fitted to it' if others else 'taken for one straight way'
-        warnings.append(
-            f'{trials[index][0].name}: the tool height is missing from {gap[0]:.3f} s to '
-            f'{gap[1]:.3f} s, where the tool changed its speed in contact: its way there is not '
-            f'known, {then}'
-        )
-        if others:
+        then = 'no model is fitted to it' if clear else 'what is fitted to it may be off'
+        warnings.append(f'{trials[index][0].name}: {why}: {then}')
+        if clear:
             prepared[index] = None
     deepest = max((float(t.path.displacement.max()) for t in prepared if t is not None), default=1)
     return (
@@ -913,6 +909,27 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     for first, last in runs(off):
         late[first:last] = last - first <= _BURST
     return late
+
+
+def _unknown_way(trial: Trial, made: FitTrial) -> str | None:
+    """Return why the tool's way in contact is not known well enough, if it is not."""
+    gap = _unseen(trial.tool_height, made)
+    if gap is not None:
+        return (
+            f'the tool height is missing from {gap[0]:.3f} s to {gap[1]:.3f} s, where the tool '
+            f'changed its speed in contact, so its way there is not known'
+        )
+    push, error = made.pushed
+    before = made.samples.force[: int(np.searchsorted(made.samples.edges, made.t_contact))]
+    share = error * made.peak_force / max(float(before.std()), 1e-300) if before.size else 0.0
+    if before.size < _BASELINE or share < _SWAMPED:
+        return None
+    return (
+        f'the push took {1e3 * (made.t[push.stop] - made.t[push.start]):.0f} ms, with a tool '
+        f'height every {1e3 * made.path.interval:.3g} ms that is off by '
+        f'{1e6 * made.path.noise:.2g} um: its speed is known to {100.0 * error:.2g} % only, which '
+        f'makes {share:.1g} of the noise in its force (push slower, or sample the height faster)'
+    )
 
 
 def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
