@@ -50,7 +50,7 @@ _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
 _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
-_QUICK_GATE: Final = 30.0
+_QUICK_GATE: Final = 20.0
 """Gain, and lead, of what draws jumps out over less than a sample."""
 _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
