@@ -38,6 +38,6 @@ def renew(page: Path, begin: str, end: str, text: str) -> None:
     """
     old = page.read_text()
     if old.count(begin) != 1 or old.count(end) != 1 or old.index(begin) > old.index(end):
-        raise SystemExit(f'{page} is left alone: {begin} and {end} stand there once each')
-    head, tail = old[: old.index(begin)], old[old.index(end) :]
-    page.write_text(f'{head}{begin}\n\n{text}\n{tail}')
+        raise SystemExit(f'{page} is left alone: {begin} and {end} are not there once each')
+    head, rest = old.split(begin)
+    page.write_text(f'{head}{begin}\n\n{text}\n{end}{rest.split(end)[1]}')
