@@ -19,7 +19,14 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.selection import seldom, select
+from hapticvision_ros.core.diagnosis.selection import (
+    _good,
+    fleeting,
+    resolved,
+    seldom,
+    select,
+    Trialled,
+)
 
 
 def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
@@ -49,3 +56,23 @@ def test_a_sine_that_turns_once_or_twice_is_no_disturbance(world: Any) -> None:
         state[: values.size] = refit.model.theta(values)
         found.append(seldom(bench, replace(refit, state=state), 'periodic_disturbance'))
     assert found == [True, False]
+
+
+def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    assert resolved(bench)
+
+    def quick(name: str, gain: float, strength: float, **values: float) -> Trialled:
+        refit = bench.refit(Model((name,)), base)
+        known = dict(zip(refit.model.names, refit.model.values(refit.theta), strict=True))
+        state = refit.state.copy()
+        state[: len(known)] = refit.model.theta(list((known | values).values()))
+        return Trialled(name, gain + 10.0, gain, strength, replace(refit, state=state))
+
+    weak = quick('series_spring', 220.0, 0.06, K_0=1e6)
+    general = quick('second_retardation', 24.0, 0.11, K_2=1e6, C_3=1e3)
+    assert fleeting(bench, general.refit, general.effect)
+    assert _good(bench, [weak, general], 0.0) == []
+    assert _good(bench, [general], 0.0) == [general]
+    strong = replace(weak, strength=0.2)
+    assert _good(bench, [strong, general], 0.0) == [strong]
