@@ -56,6 +56,9 @@ _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
 _QUICK_NEAR: Final = 0.75
 """Part of the gain of what does so from which on another is like it, however low the noise is."""
+_BRIEF: Final = 3.0
+_BRIEF_NEAR: Final = 0.94
+"""The same of what is over within so many samples, where the models are exact to a few percent."""
 CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
@@ -343,9 +346,12 @@ def select(
             break
         leader = good[0]
         enough = leader.gain - LEAD
-        if fleeting(bench, good[0].refit, leader.effect):
+        samples = _samples(bench, good[0].refit, leader.effect)
+        if samples < 1.0:
             # What is over within a sample looks much the same, whatever it is.
             enough = min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
+        elif samples < _BRIEF:
+            enough = min(enough, _BRIEF_NEAR * leader.gain)
         near = [each for each in good if each.gain > enough]
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
@@ -364,7 +370,6 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
     """Return the candidates that may be accepted, best first."""
     shown = resolved(bench)
     weakest = max(WEAKEST, _SECONDARY * strongest)
-    quick = [e.gain for e in tried if e.refit is not None and fleeting(bench, e.refit, e.effect)]
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
@@ -372,9 +377,13 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
-        # Where the best of them is refused, it is no other of them either.
-        likely = each.gain > _QUICK_NEAR * max(quick)
-        return shown and likely and _draws_out(bench, each, weakest)
+        if not shown or not _draws_out(bench, each, weakest):
+            return False
+        # What a simpler one tells as well is not there where that one is refused.
+        simpler = [e for e in tried if e.effect in BY_NAME[each.effect].generalises]
+        return all(
+            e.gain < each.gain or (e.refit is not None and enough(e, e.refit)) for e in simpler
+        )
 
     return [
         each

@@ -75,4 +75,4 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [weak, general], 0.0) == []
     assert _good(bench, [general], 0.0) == [general]
     strong = replace(weak, strength=0.2)
-    assert _good(bench, [strong, general], 0.0) == [strong]
+    assert _good(bench, [strong, general], 0.0) == [strong, general]
