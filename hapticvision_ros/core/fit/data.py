@@ -54,7 +54,7 @@ _SHORTEST: Final = 4
 """Fewer samples between two that the path goes through have no line of their own."""
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
-_CORNER_SAMPLES: Final = 16
+_CORNER_SAMPLES: Final = 64
 """Corners that are so many samples of the encoders apart may be one change of speed."""
 _DENSE: Final = 0.05
 """Quantile of the intervals of the encoders that is theirs where samples are dense."""
