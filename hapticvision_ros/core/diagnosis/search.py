@@ -23,6 +23,7 @@ accepted is fitted again.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+import math
 from typing import Final
 
 from hapticvision_ros.core.composition import Model
@@ -42,6 +43,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     drawn_out,
     eliminate,
     LEAD,
+    price,
     Round,
     select,
     strength,
@@ -208,7 +210,7 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        unrepeated = self._unrepeated(bench, chosen) if scatter is None else None
+        unrepeated = self._unrepeated(bench, base, chosen) if scatter is None else None
         if unrepeated is not None:
             scattered = np.full(3, unrepeated)
             bench = plain.scattering(scattered)
@@ -304,26 +306,20 @@ class _Search:
         chosen, order = eliminate(bench, chosen, rounds)
         return chosen, rounds, order
 
-    def _unrepeated(self, bench: Workbench, chosen: Refit) -> float | None:
+    def _unrepeated(self, bench: Workbench, base: Refit, chosen: Refit) -> float | None:
         """
         Return the scatter that trials without repeats ask for, if they do.
 
-        Scatter is a rival of every effect: it stands where it explains the trials clearly better.
+        Scatter is a rival of every effect: it stands where it explains the trials clearly better
+        beside the effects, or as well as they do in their place.
         """
         if len(bench.trials) < 2:
             return None
-        best, size = chosen.deviance, None
-        least, worse = best, 0
-        for each in _SCATTERS:
-            refit = bench.scattering(np.full(3, each)).refit(chosen.model, chosen)
-            if refit is None:
-                continue
-            if refit.deviance < best - LEAD:
-                best, size = refit.deviance, each
-            worse = 0 if refit.deviance < least else worse + 1
-            least = min(least, refit.deviance)
-            if worse == _WORSE:
-                break
+        size = self._scattering(bench, chosen, chosen.deviance - LEAD)
+        if size is None and chosen.model.effects:
+            worth = sum(price(bench, name) for name in chosen.model.effects)
+            own = math.log(bench.samples)
+            size = self._scattering(bench, base, chosen.deviance + worth - own + LEAD)
         if size is None:
             return None
         self.warnings.append(
@@ -331,6 +327,22 @@ class _Search:
             f'{100.0 * size:.2g} % from trial to trial: without repeats of the same push this '
             f'cannot be told from an effect'
         )
+        return size
+
+    def _scattering(self, bench: Workbench, near: Refit, below: float) -> float | None:
+        """Return the scatter with which a model has its least deviance, if that is low enough."""
+        best, size = below, None
+        least, worse = near.deviance, 0
+        for each in _SCATTERS:
+            refit = bench.scattering(np.full(3, each)).refit(near.model, near)
+            if refit is None:
+                continue
+            if refit.deviance < best:
+                best, size = refit.deviance, each
+            worse = 0 if refit.deviance < least else worse + 1
+            least = min(least, refit.deviance)
+            if worse == _WORSE:
+                break
         return size
 
     def _rest(
