@@ -49,6 +49,8 @@ _POOLED: Final = 3.0
 """Degrees of freedom that the mean over the three elements counts for in each."""
 _TREND: Final = 0.01
 """Probability below which a change over the campaign is no chance."""
+_SIZES: Final = (0.0, *np.geomspace(2e-4, 0.3, 60).tolist())
+"""Scatter that is tried."""
 _CAUTION: Final = 0.25
 """The scatter is taken as large as it is with this probability of being larger still."""
 LEAST: Final = 5e-4
@@ -143,19 +145,22 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     repeated = [list(group) for group in groups if len(group) > 1]
     if not repeated:
         return None
-    shifts, variances = _shifts(found)
+    shifts, noises = _shifts(found)
     times = np.array([trial.campaign_time for trial in found.problem.trials])
-    shifts = _without_trend(shifts, variances, times, repeated)
+    shifts = _without_trend(shifts, noises, times, repeated)
     degrees = sum(len(group) - 1 for group in repeated)
-    squares = np.zeros(3)
+    common = _common(shifts, noises, repeated) ** 2
+    squares, noise = np.zeros(3), np.zeros(3)
     for group in repeated:
         away = shifts[group] - shifts[group].mean(axis=0)
         # Noise alone makes this much of it.
         share = 1.0 - 1.0 / len(group)
-        squares += np.sum(away**2, axis=0) - share * np.sum(variances[group], axis=0)
-    squares = np.maximum(squares, 0.0)
-    pooled = float(squares.sum()) / (3 * degrees)
-    variance = (_POOLED * pooled + squares) / (_POOLED + degrees)
+        own = share * np.sum(noises[group].diagonal(axis1=1, axis2=2), axis=0)
+        squares += np.maximum(np.sum(away**2, axis=0) - own, 0.0)
+        noise += own / degrees
+    # What a trial does not tell of an element by itself it does not tell of its scatter.
+    told = common / np.maximum(common + noise, 1e-300)
+    variance = (_POOLED * common + told * squares) / (_POOLED + told * degrees)
     enlarged = (_POOLED + degrees) / float(chdtri(_POOLED + degrees, 1.0 - _CAUTION))
     std = np.sqrt(variance)
     if std.max() < LEAST:
@@ -164,13 +169,36 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     return Scatter(std, std * math.sqrt(enlarged), degrees)
 
 
+def _common(shifts: FloatArray, noises: FloatArray, groups: Sequence[Sequence[int]]) -> float:
+    """
+    Return the scatter that is most likely if it is the same in all three elements.
+
+    One trial may tell the size of the force, and not how the elements share in it: each has the
+    whole covariance of its noise. The likelihood is restricted: the means of the groups are free.
+    """
+
+    def deviance(size: float) -> float:
+        total = 0.0
+        weights = np.linalg.inv(noises + size**2 * np.eye(3))
+        for group in groups:
+            chosen, mine = weights[group], shifts[group]
+            sum_ = chosen.sum(axis=0)
+            mean = np.linalg.solve(sum_, np.einsum('ijk,ik->j', chosen, mine))
+            away = mine - mean
+            total += float(np.einsum('ij,ijk,ik', away, chosen, away))
+            total += float(np.linalg.slogdet(sum_)[1] - np.linalg.slogdet(chosen)[1].sum())
+        return total
+
+    return float(min(_SIZES, key=deviance))
+
+
 def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
-    """Return each trial's own logarithms of K1, C1, C2 beside the shared, and their variances."""
+    """Return each trial's own logarithms of K1, C1, C2 beside the shared, and their covariance."""
     old = found.problem
     problem = Problem(old.model, old.trials, np.full(3, _WIDE))
     problem.set_noise(found.force_noise, found.height_noise, found.jumps)
     state = carried(old, found.state, problem)
-    shifts, variances = np.zeros((len(old.trials), 3)), np.zeros((len(old.trials), 3))
+    shifts, noises = np.zeros((len(old.trials), 3)), np.zeros((len(old.trials), 3, 3))
     for index, place in enumerate(problem.places):
 
         def one(
@@ -185,25 +213,23 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
         chosen = slice(problem.q, problem.q + 3)
         # The misfit of the trial stands in for its noise.
         shifts[index] = solution.theta[chosen]
-        variances[index] = np.diag(covariance(solution.jacobian))[chosen]
-    return shifts, variances
+        noises[index] = covariance(solution.jacobian)[chosen, chosen]
+    return shifts, noises
 
 
 def _without_trend(
-    shifts: FloatArray, variances: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
+    shifts: FloatArray, noises: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
 ) -> FloatArray:
     """Return the shifts without a common change over the campaign, where it is no chance."""
-    chosen = np.concatenate([np.array(group) for group in groups])
-    away = np.concatenate([shifts[group] - shifts[group].mean(axis=0) for group in groups])
+    # What a trial tells of one factor of all three elements.
+    weights = np.linalg.inv(noises).sum(axis=1)
+    factors = np.sum(weights * shifts, axis=1) / weights.sum(axis=1)
+    common = np.concatenate([factors[group] - factors[group].mean() for group in groups])
     late = np.concatenate([times[group] - times[group].mean() for group in groups])
     spread = float(late @ late)
-    free = away.shape[0] - len(groups) - 1
+    free = common.size - len(groups) - 1
     if spread == 0.0 or free < 1:
         return shifts
-    weights = 1.0 / np.maximum(variances[chosen].mean(axis=0), 1e-300)
-    weights = 1.0 / (1.0 / weights + away.var(axis=0) + 1e-300)
-    weights /= weights.sum()
-    common = away @ weights
     slope = float(common @ late) / spread
     rest = common - slope * late
     explained = slope**2 * spread

@@ -20,9 +20,12 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, LEAST, measure, Scatter
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.records import Segmentation
+from hapticvision_ros.core.segmentation import segment
+from hapticvision_ros.sim.campaigns import random_campaign, run
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
@@ -152,3 +155,16 @@ def test_a_change_over_the_campaign_is_no_scatter(repeated: Any) -> None:
     drift = pooled(np.tile(starts[:, None], 3))
     assert drift > 0.04
     assert scatter.std.max() < 0.1 * drift
+
+
+def test_the_scatter_of_trials_that_tell_no_element_by_itself_is_measured() -> None:
+    """Trials much shorter than the relaxation: each element to 20 %, the force to a percent."""
+    campaign = random_campaign(8639, scatter=0.02, longest=30.0)
+    trials = run(campaign, seed=8639).trials
+    pairs = [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
+    fitted = fit(pairs)
+    base = Workbench(fitted.problem.trials, None, fitted.noise.memory).base(fitted)
+    scatter = measure(base, conditions([p for _, p in pairs]))
+    assert scatter is not None
+    assert scatter.degrees == 7
+    np.testing.assert_allclose(scatter.std, 0.02, rtol=0.35)
