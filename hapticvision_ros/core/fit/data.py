@@ -947,6 +947,7 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
     silent &= (t[1:] > trial.t_contact) & (t[:-1] < end)
     for last in np.flatnonzero(silent).tolist():
         ways = []
+        gap = slice(last, last + 2)
         for beside in (
             slice(max(last - _BESIDE + 1, 0), last + 1),
             slice(last + 1, last + 1 + _BESIDE),
@@ -954,8 +955,8 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
             if t[beside].size < 2:
                 continue
             level, slope = _line(t[beside], value[beside], np.ones(t[beside].size))
-            ways.append(level + slope * t[last : last + 2])
-        off = [float(np.abs(way - value[last : last + 2]).max()) for way in ways]
+            ways.append(level + slope * t[gap])
+        off = [float(np.abs(way - value[gap]).max()) for way in ways]
         # A tool that goes straight on is where both lines say; one that stops is not.
         if max(off, default=0.0) > _UNSEEN * deepest:
             return float(t[last]), float(t[last + 1])
