@@ -936,7 +936,7 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
     """
     Return the gap of the encoders in which the way in contact is not known; None if there is none.
 
-    It is known where the straight lines before and after the gap meet the straight way over it.
+    It is known where the tool went straight on into the gap, or came straight out of it.
     """
     t, value = height.t, height.value
     steps = np.diff(t)
@@ -946,7 +946,7 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
     silent = steps > _SILENT * float(np.median(steps))
     silent &= (t[1:] > trial.t_contact) & (t[:-1] < end)
     for last in np.flatnonzero(silent).tolist():
-        ways = []
+        off = []
         gap = slice(last, last + 2)
         for beside in (
             slice(max(last - _BESIDE + 1, 0), last + 1),
@@ -955,10 +955,11 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
             if t[beside].size < 2:
                 continue
             level, slope = _line(t[beside], value[beside], np.ones(t[beside].size))
-            ways.append(level + slope * t[gap])
-        off = [float(np.abs(way - value[gap]).max()) for way in ways]
-        # A tool that goes straight on is where both lines say; one that stops is not.
-        if max(off, default=0.0) > _UNSEEN * deepest:
+            away = float(np.abs(level + slope * t[gap] - value[gap]).max())
+            # A line through few samples leads astray over a gap that is longer.
+            span = float(t[beside][-1] - t[beside][0])
+            off.append(away - _LEFT_SIGMAS * trial.path.noise * (1.0 + 2.0 * steps[last] / span))
+        if min(off, default=0.0) > _UNSEEN * deepest:
             return float(t[last]), float(t[last + 1])
     return None
 

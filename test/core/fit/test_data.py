@@ -236,3 +236,18 @@ def test_the_speed_of_a_quick_push_is_known_as_well_as_its_stamps() -> None:
     # 25 um of 4.4 mm in 9 samples.
     assert errors[0] < 1e-3
     assert 3e-3 < errors[1] < 2e-2
+
+
+def test_a_record_that_is_sparse_in_the_hold_has_no_gap() -> None:
+    """As relaxation is often kept: dense at first, then every two seconds; encoders of 5 um."""
+    whole = _trial()
+    t, value = whole.tool_height.t, whole.tool_height.value
+    kept = (t < 4.0) | (t > 12.9) | (np.arange(t.size) % 2000 == 0)
+    noise = 5e-6 * np.random.default_rng(0).standard_normal(t.size)
+    sparse = replace(whole, tool_height=Signal(t[kept], (value + noise)[kept]))
+    # The push that ends at a sample after a gap went straight on until then.
+    ends = (t < 2.0) | (t >= 3.0)
+    straight = replace(whole, tool_height=Signal(t[ends], value[ends]))
+    made, told = prepare([(whole, PHASES), (sparse, PHASES), (straight, PHASES)])
+    assert None not in made
+    assert told == ()
