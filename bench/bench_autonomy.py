@@ -12,7 +12,6 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-
 """
 Bench: how often an autonomous experiment decides for the effect that acts.
 
@@ -35,6 +34,7 @@ import traceback
 from typing import Any
 
 from bench_attribution import BaseMisfit, fitted_strength
+from cases import carry_out, kept
 from hapticvision_ros.core.autonomy import (
     Budget,
     Cell,
@@ -280,20 +280,10 @@ def main() -> None:
     parser.add_argument('--precision', type=float, default=0.0)
     parser.add_argument('--summary', action='store_true')
     args = parser.parse_args()
-    known = []
-    if args.lines.exists():
-        known = [json.loads(each) for each in args.lines.read_text().splitlines()]
     if args.summary:
-        print(summary(known))
+        print(summary(kept(args.lines)))
         return
-    done = {key(each) for each in known}
-    todo = [task for task in tasks(args) if key(task) not in done]
-    with args.lines.open('a') as file:
-        for count, task in enumerate(todo, start=1):
-            result = case(task)
-            file.write(json.dumps(result) + '\n')
-            file.flush()
-            print(f'{count}/{len(todo)} {line(result)}', flush=True)
+    carry_out(args.lines, tasks(args), key, case, line)
 
 
 if __name__ == '__main__':

@@ -36,6 +36,7 @@ import traceback
 from typing import Any
 
 from bench_attribution import CANNOT, make
+from cases import carry_out, kept
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
@@ -249,20 +250,10 @@ def main() -> None:
     parser.add_argument('--effects', nargs='+', default=[])
     parser.add_argument('--summary', action='store_true')
     args = parser.parse_args()
-    done: list[dict[str, Any]] = []
-    if args.lines.exists():
-        done = [json.loads(each) for each in args.lines.read_text().splitlines()]
     if args.summary:
-        print(summary(done))
+        print(summary(kept(args.lines)))
         return
-    known = {key(each) for each in done}
-    todo = [task for task in tasks(args) if key(task) not in known]
-    with args.lines.open('a') as file:
-        for count, task in enumerate(todo, start=1):
-            result = case(task)
-            file.write(json.dumps(result) + '\n')
-            file.flush()
-            print(f'{count}/{len(todo)} {line(result)}', flush=True)
+    carry_out(args.lines, tasks(args), key, case, line)
 
 
 if __name__ == '__main__':

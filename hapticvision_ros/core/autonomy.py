@@ -34,7 +34,7 @@ from hapticvision_ros.core.units import MM
 if TYPE_CHECKING:
     from hapticvision_ros.core.diagnosis.design import PushLimits as Reach
     from hapticvision_ros.core.pipeline import TrialAnalysis
-    from hapticvision_ros.core.records import Segmentation, Trial
+    from hapticvision_ros.core.records import Trial
 
 type Progress = Callable[[str], None]
 """Told what is being done, in a few words."""
@@ -651,7 +651,7 @@ def look(
 
 def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
     """Return the deepest push that is least like those that were made."""
-    made = [(s.push_speed, _hold(s)) for s in (each.segmentation for each in trials)]
+    made = [(s.push_speed, s.hold_time) for s in (each.segmentation for each in trials)]
     middle = math.sqrt(reach.slowest * reach.fastest)
     best, most = None, LIKE
     for hold in (reach.longest_hold, reach.longest_hold / SPREAD):
@@ -676,13 +676,6 @@ def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
     )
 
 
-def _hold(phases: 'Segmentation') -> float:
-    """Return how long a push was held [s]; 0 if it was not."""
-    if phases.t_hold is None or phases.t_release is None:
-        return 0.0
-    return phases.t_release - phases.t_hold
-
-
 def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
     """Return the repeat of the push with the largest force, where scatter stands out most."""
     whole = [
@@ -697,7 +690,7 @@ def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
         purpose='repeat',
         push_speed=phases.push_speed or 0.0,
         depth=phases.depth or 0.0,
-        hold_time=_hold(phases),
+        hold_time=phases.hold_time or 0.0,
         about=(),
         gain=0.0,
         reason='only a repeat tells whether what is left is scatter from trial to trial',

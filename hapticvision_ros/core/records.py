@@ -233,3 +233,10 @@ class Segmentation:
     warnings: tuple[str, ...] = ()
     force_zero_std: float = 0.0
     contact_height_std: float = 0.0
+
+    @property
+    def hold_time(self) -> float | None:
+        """Return how long the trial holds [s]; None where start or end of the hold is unknown."""
+        if self.t_hold is None or self.t_release is None:
+            return None
+        return self.t_release - self.t_hold

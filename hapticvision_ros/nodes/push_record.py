@@ -19,6 +19,7 @@ It says when it was last renewed, on a clock of the machine that cannot be set, 
 the machine, and for which arm. A controller that ends in order removes it.
 """
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -84,8 +85,10 @@ class PushRecord:
         return age if age >= 0.0 else None
 
     def remove(self) -> None:
-        """Note that no push is under way."""
-        (self._folder / self._name).unlink(missing_ok=True)
+        """Note that no push is under way; a note that cannot be removed grows old by itself."""
+        # Called where a controller ends: nothing may keep it from stopping its arm.
+        with contextlib.suppress(OSError):
+            (self._folder / self._name).unlink()
 
 
 def _boot() -> str:

@@ -147,7 +147,7 @@ def test_the_push_least_like_those_made_repeats_none_until_all_are_made() -> Non
     made, others = [(0.004, 0.006, 2.0)], list[tuple[float, float]]()
     allowed = cell().reach()
     for _ in range(9):
-        phases = [SimpleNamespace(push_speed=v, t_hold=1.0, t_release=1.0 + h) for v, _, h in made]
+        phases = [SimpleNamespace(push_speed=v, hold_time=h) for v, _, h in made]
         trials: Any = [SimpleNamespace(segmentation=each) for each in phases]
         other = _other(trials, allowed)
         if other is None:

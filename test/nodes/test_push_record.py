@@ -74,3 +74,8 @@ def test_what_another_user_has_noted_moves_no_arm(record, monkeypatch):
     user = push_record.os.getuid()
     monkeypatch.setattr(push_record.os, 'getuid', lambda: user + 1)
     assert record.age() is None
+
+
+def test_a_note_that_cannot_be_removed_keeps_no_controller_from_its_end(tmp_path):
+    (tmp_path / 'file').touch()
+    PushRecord('cell/arm', 'simulated', tmp_path / 'file').remove()

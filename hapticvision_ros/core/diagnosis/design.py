@@ -91,11 +91,7 @@ class PushLimits:
         """Return what is near what has been done: speeds within a factor of three."""
         speeds = [p.push_speed for p in phases if p.push_speed]
         depths = [p.depth for p in phases if p.depth]
-        holds = [
-            p.t_release - p.t_hold
-            for p in phases
-            if p.t_release is not None and p.t_hold is not None
-        ]
+        holds = [p.hold_time for p in phases if p.hold_time is not None]
         longest = max(holds, default=10.0)
         return cls(
             min(speeds, default=1e-3) / 3.0,

@@ -108,7 +108,7 @@ def _alike(one: Segmentation, other: Segmentation) -> bool:
     pairs = [
         (one.push_speed, other.push_speed, _SAME),
         (one.depth, other.depth, _SAME),
-        (_hold(one), _hold(other), _SAME_HOLD),
+        (one.hold_time, other.hold_time, _SAME_HOLD),
     ]
     for a, b, reach in pairs:
         if (a is None) != (b is None):
@@ -116,13 +116,6 @@ def _alike(one: Segmentation, other: Segmentation) -> bool:
         if a is not None and b is not None and abs(a - b) > reach * max(abs(a), abs(b)):
             return False
     return True
-
-
-def _hold(phases: Segmentation) -> float | None:
-    """Return how long a trial holds [s]."""
-    if phases.t_hold is None or phases.t_release is None:
-        return None
-    return phases.t_release - phases.t_hold
 
 
 def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
@@ -156,8 +149,9 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
         # Noise alone makes this much of it.
         share = 1.0 - 1.0 / len(group)
         own = share * np.sum(noises[group].diagonal(axis1=1, axis2=2), axis=0)
-        squares += np.maximum(np.sum(away**2, axis=0) - own, 0.0)
+        squares += np.sum(away**2, axis=0) - own
         noise += own / degrees
+    squares = np.maximum(squares, 0.0)
     # What a trial does not tell of an element by itself it does not tell of its scatter.
     told = common / np.maximum(common + noise, 1e-300)
     variance = (_POOLED * common + told * squares) / (_POOLED + told * degrees)

@@ -345,19 +345,24 @@ def select(
             rounds.append(Round(current, tried, ()))
             break
         leader = good[0]
-        enough = leader.gain - LEAD
-        samples = _samples(bench, good[0].refit, leader.effect)
-        if samples < 1.0:
-            # What is over within a sample looks much the same, whatever it is.
-            enough = min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
-        elif samples < _BRIEF:
-            enough = min(enough, _BRIEF_NEAR * leader.gain)
+        enough = _near(bench, leader, good[0].refit)
         near = [each for each in good if each.gain > enough]
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
     return current, tuple(rounds)
+
+
+def _near(bench: Workbench, leader: Trialled, refit: Refit) -> float:
+    """Return the gain from which on another effect is not told from the leader."""
+    samples = _samples(bench, refit, leader.effect)
+    if samples < 1.0:
+        # What is over within a sample looks much the same, whatever it is.
+        return min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
+    if samples < _BRIEF:
+        return min(leader.gain - LEAD, _BRIEF_NEAR * leader.gain)
+    return leader.gain - LEAD
 
 
 def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> bool:

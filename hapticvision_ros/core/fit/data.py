@@ -928,7 +928,7 @@ def _unknown_way(trial: Trial, made: FitTrial) -> str | None:
         f'the push took {1e3 * (made.t[push.stop] - made.t[push.start]):.0f} ms, with a tool '
         f'height every {1e3 * made.path.interval:.3g} ms that is off by '
         f'{1e6 * made.path.noise:.2g} um: its speed is known to {100.0 * error:.2g} % only, which '
-        f'makes {share:.1g} of the noise in its force (push slower, or sample the height faster)'
+        f'makes {share:.3g} times the noise of its force (push slower, or sample heights faster)'
     )
 
 

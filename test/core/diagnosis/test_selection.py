@@ -21,12 +21,14 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
+    _near,
     fleeting,
     resolved,
     seldom,
     select,
     Trialled,
 )
+import pytest
 
 
 def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
@@ -76,3 +78,18 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [general], 0.0) == [general]
     strong = replace(weak, strength=0.2)
     assert _good(bench, [strong, general], 0.0) == [strong, general]
+
+
+def test_the_quicker_an_effect_is_over_the_more_is_not_told_from_it(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    refit = bench.refit(Model(('force_lag',)), base)
+    place = refit.model.names.index('T_f')
+    found = []
+    for samples in (0.5, 2.0, 10.0):
+        values = refit.model.values(refit.theta)
+        values[place] = samples * 0.002
+        state = refit.state.copy()
+        state[: values.size] = refit.model.theta(values)
+        leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, replace(refit, state=state))
+        found.append(_near(bench, leader, leader.refit))
+    assert found == pytest.approx([750.0, 940.0, 990.0])
