@@ -82,7 +82,7 @@ def whole_fit(curve: Curve) -> np.ndarray:
     """Fit force and noise, with covariance, from the signals to the parameters."""
     result = fit([(curve.trial, curve.phases)], Model())
     problem = result.problem
-    full = problem.trials[0].at_full_rate()
+    full = problem.trials[0].full_rate
     predicted = problem.predict(result.state, 0, full, directions=False).force
     # The reading, with the zero that was found: what the others fit as well.
     zero = curve.phases.force_zero + problem.own(result.state, 0)[1]
@@ -97,7 +97,7 @@ def identity(curve: Curve) -> np.ndarray:
     body = identify([trial])
     model = Model()
     theta = model.theta([body.K1, body.C1, body.C2])
-    force = model.predict(trial.at_full_rate(), theta, directions=False).force
+    force = model.predict(trial.full_rate, theta, directions=False).force
     return force[curve.hold] + curve.phases.force_zero
 
 

@@ -134,7 +134,7 @@ class Miss:
         All samples count but those set aside as glitches, also the corners of the force that the
         records of a fit leave out.
         """
-        full = one.at_full_rate()
+        full = one.full_rate
         own = [found.values[name].value or 0.0 for name in model.trial_names]
         zero = found.values.get('force_zero')
         middle = 0.5 * (full.t[1:] + full.t[:-1])

@@ -162,7 +162,7 @@ def simulated(base: Refit, scatter: FloatArray, random: np.random.Generator) -> 
             last = first + problem.scatter.size
             state[first:last] = 0.0
         _, force_zero, height_zero = problem.own(state, index)
-        full = trial.at_full_rate()
+        full = trial.full_rate
         noise = trial_noise(trial, base, base.jumps[index], random)
         said = problem.predict(state, index, directions=False)
         force = np.where(trial.force_count > 0.0, said.force + force_zero + noise.force, 0.0)

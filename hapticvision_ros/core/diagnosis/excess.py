@@ -100,7 +100,7 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     forces, heights = [], []
     problem = found.problem
     for index, (trial, phase) in enumerate(zip(problem.trials, phases, strict=True)):
-        full = trial.at_full_rate()
+        full = trial.full_rate
         prediction = problem.predict(found.state, index, full, directions=False)
         _, force_zero, height_zero = problem.own(found.state, index)
         t = 0.5 * (full.t[1:] + full.t[:-1])

@@ -676,21 +676,38 @@ def height_blocks(trial: FitTrial) -> Blocks:
 
 def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     """Return the variance of each step's force for that its moment is known to `blur` samples."""
-    # A mean over several samples holds the jump in one of them.
-    middle, spacing = trial.middle, trial.spacing
-    bend = np.zeros(force.size)
-    slope = np.diff(force) / np.diff(middle)
-    bend[1:-1] = 0.5 * spacing[1:-1] * np.abs(np.diff(slope))
-    near = bend.copy()
-    near[1:] = np.maximum(near[1:], bend[:-1])
-    near[:-1] = np.maximum(near[:-1], bend[1:])
-    variance = (min(blur, 1.0) * near / np.maximum(trial.force_count, 1.0)) ** 2
+    variance = np.empty(force.size)
+    _jump_variance(force, trial.middle, trial.spacing, trial.force_count, min(blur, 1.0), variance)
     if blur > 1.0:
-        variance = np.maximum(variance, _moved(force, middle, slope, blur, _spacing(trial)))
+        slope = np.diff(force) / np.diff(trial.middle)
+        moved = _moved(force, trial.middle, slope, blur, _spacing(trial))
+        variance = np.maximum(variance, moved)
     push, error = trial.pushed
     if error > _SPEED:
         variance[push] += (push.stop - push.start) * (error * force[push]) ** 2
-    return np.asarray(variance, dtype=np.float64)
+    return variance
+
+
+@kernel()
+def _jump_variance(force, middle, spacing, count, blur, variance):  # type: ignore[no-untyped-def]
+    """Set the variance for moments known to `blur` samples, from the bends of the force."""
+    last = force.size - 1
+    before = 0.0
+    here = 0.0
+    slope = 0.0
+    if last > 0:
+        slope = (force[1] - force[0]) / (middle[1] - middle[0])
+    for i in range(last + 1):
+        after = 0.0
+        if i + 1 < last:
+            steeper = (force[i + 2] - force[i + 1]) / (middle[i + 2] - middle[i + 1])
+            after = 0.5 * spacing[i + 1] * abs(steeper - slope)
+            slope = steeper
+        # A mean over several samples holds the jump in one of them.
+        missed = blur * max(before, here, after) / max(count[i], 1.0)
+        variance[i] = missed * missed
+        before = here
+        here = after
 
 
 def calm(full: FitTrial, force: FloatArray, noise: SensorNoise) -> NDArray[np.bool_]:
@@ -1285,12 +1302,13 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
         chosen = _near_touch(trial)
         force = problem.predict(state, index, directions=False).force
         variance = _jumps(force, trial, blur)[chosen] + noise.std**2
-        squares = _squares(problem, state, index, chosen)
+        head = trial.head(chosen.stop)
+        squares = _squares(problem, state, index, head, chosen)
         if squares < _MISPLACED * float(trial.force_count[chosen] @ variance):
             continue
         place, old = problem.places[index].start, float(state[problem.places[index].start])
         _find_onset(problem, state, index)
-        if _squares(problem, state, index, chosen) < _BETTER * squares:
+        if _squares(problem, state, index, head, chosen) < _BETTER * squares:
             moved = True
         else:
             state[place] = old
@@ -1304,25 +1322,27 @@ def _near_touch(trial: FitTrial) -> slice:
     return slice(int(first), min(int(last), int(np.argmax(trial.displacement))))
 
 
-def _squares(problem: Problem, state: FloatArray, index: int, chosen: slice) -> float:
-    """Return the squares of the residual force in some steps."""
-    trial = problem.trials[index]
-    predicted = problem.predict(state, index, directions=False).force[chosen]
-    residual = predicted + problem.own(state, index)[1] - trial.force[chosen]
-    return float(trial.force_count[chosen] @ residual**2)
+def _squares(
+    problem: Problem, state: FloatArray, index: int, head: FitTrial, chosen: slice
+) -> float:
+    """Return the squares of the residual force in some steps of a trial's head."""
+    predicted = problem.predict(state, index, head, directions=False).force[chosen]
+    residual = predicted + problem.own(state, index)[1] - head.force[chosen]
+    return float(head.force_count[chosen] @ residual**2)
 
 
 def _find_onset(problem: Problem, state: FloatArray, index: int) -> None:
     """Set the onset of one trial to where its first force is followed best."""
     trial, place = problem.trials[index], problem.places[index].start
-    reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(problem.trials[index])
+    reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(trial)
+    head = trial.head(chosen.stop)
     state[place] = 0.0
     for _ in range(_ONSET_ZOOMS):
         tried = state[place] + np.linspace(-reach, reach, 9)
         costs = []
         for value in tried:
             state[place] = value
-            costs.append(_squares(problem, state, index, chosen))
+            costs.append(_squares(problem, state, index, head, chosen))
         state[place] = tried[int(np.argmin(costs))]
         reach /= 3.0
 
@@ -1416,7 +1436,7 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     total = np.empty(0)
     length = _quick_length(min(t.samples.force.size for t in problem.trials))
     for index, trial in enumerate(problem.trials):
-        full = trial.at_full_rate()
+        full = trial.full_rate
         residual = full.force - problem.predict(state, index, full, directions=False).force
         piece = residual[-length:] - residual[-length:].mean()
         power = np.abs(np.fft.rfft(piece * np.hanning(length))) ** 2
@@ -1467,14 +1487,17 @@ def _without_outliers(
     """Return the trials without the samples that stand out of the residual; None if none do."""
     cleaned, any_bad = [], False
     for index, trial in enumerate(problem.trials):
-        full = trial.at_full_rate()
+        full = trial.full_rate
         predicted = problem.predict(state, index, full, directions=False).force
         residual = trial.samples.force - predicted
-        # What a jump known to the sample leaves is no glitch.
-        limit = _OUTLYING * np.sqrt(noise.std**2 + 4.0 * _jumps(predicted, full))
-        limit = np.maximum(limit, _SMALLEST_GLITCH * float(np.abs(predicted).max()))
-        bad = _sudden(residual, (np.abs(residual) > limit) & trial.samples.good)
-        bad &= ~trial.eventful
+        least = _SMALLEST_GLITCH * max(float(predicted.max()), -float(predicted.min()))
+        bad = np.abs(residual) > max(_OUTLYING * noise.std, least)
+        bad &= trial.samples.good & ~trial.eventful
+        if bad.any():
+            # What a jump known to the sample leaves is no glitch.
+            limit = _OUTLYING * np.sqrt(noise.std**2 + 4.0 * _jumps(predicted, full))
+            bad = np.abs(residual) > np.maximum(limit, least)
+            bad = _sudden(residual, bad & trial.samples.good) & ~trial.eventful
         if bad.any():
             any_bad = True
             trial = trial.without(bad)
@@ -1627,11 +1650,10 @@ def _trial_fit(
 ) -> TrialFit:
     """Return a trial beside the model at the full rate."""
     trial = problem.trials[index]
-    full = trial.at_full_rate()
+    full = trial.full_rate
     prediction = problem.predict(state, index, full, directions=False)
     _, force_zero, height_zero = problem.own(state, index)
     good = calm(full, prediction.force, noise)
-    t = 0.5 * (full.t[1:] + full.t[:-1])
     place = problem.places[index]
     std = np.sqrt(np.diag(covariance)[place])
     names = problem.own_names(trial)
@@ -1643,7 +1665,7 @@ def _trial_fit(
     }
     return TrialFit(
         name=trial.name,
-        force=Signal(t[good], trial.samples.force[good] - force_zero),
+        force=Signal(full.middle[good], trial.samples.force[good] - force_zero),
         force_fitted=prediction.force[good],
         height=Signal(full.height_t, full.height - height_zero),
         height_fitted=prediction.height,

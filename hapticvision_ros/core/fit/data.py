@@ -296,7 +296,8 @@ class FitTrial:
         bad = np.flatnonzero(~self.samples.good)
         return 0.5 * (self.samples.edges[bad] + self.samples.edges[bad + 1])
 
-    def at_full_rate(self) -> 'FitTrial':
+    @cached_property
+    def full_rate(self) -> 'FitTrial':
         """Return the same trial with one step for each force sample."""
         samples = self.samples
         return replace(
@@ -305,6 +306,21 @@ class FitTrial:
             displacement=self.path.at(samples.edges),
             force=samples.force,
             force_count=samples.good.astype(np.float64),
+        )
+
+    def head(self, steps: int) -> 'FitTrial':
+        """Return the first steps of the trial, and one for the rest; with the force alone."""
+        # What counts from the middle of the trial, as the phase of a hum, stays what it is.
+        ends = np.append(np.arange(steps + 1), self.t.size - 1)
+        return replace(
+            self,
+            t=self.t[ends],
+            displacement=self.displacement[ends],
+            force=np.append(self.force[:steps], 0.0),
+            force_count=np.append(self.force_count[:steps], 0.0),
+            height_t=np.empty(0),
+            height=np.empty(0),
+            height_count=np.empty(0),
         )
 
     def without(self, bad: NDArray[np.bool_]) -> 'FitTrial':
@@ -495,7 +511,7 @@ def _prepare(
     if path.t.size <= 4 * _MOST_PIECES:
         events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
-    return raw.at_full_rate()
+    return raw.full_rate
 
 
 def _steps(

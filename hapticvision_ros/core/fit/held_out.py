@@ -204,7 +204,7 @@ def fitted_trials(fit: Fit, campaign: Sequence[Segmented]) -> tuple[TrialFit | N
         if not np.any(fit.problem.trials[index].height_count > 1.0):
             result.append(one)
             continue
-        full = _every_height(fit.problem.trials[index].at_full_rate(), trial)
+        full = _every_height(fit.problem.trials[index].full_rate, trial)
         predicted = fit.problem.predict(fit.state, index, full, directions=False)
         zero = fit.problem.own(fit.state, index)[2]
         result.append(
@@ -458,7 +458,7 @@ def _predict_one(
         problem.set_noise(noise.force, noise.height, problem.jumps(state, noise.blur))
         solution = minimise(evaluate, state[p:], bounds, tolerance=_TOLERANCE)
         state[p:] = solution.theta
-    full = _every_height(one.at_full_rate(), trial)
+    full = _every_height(one.full_rate, trial)
     whole = trained.problem([full])
     predicted = whole.predict(state, 0, directions=False)
     _, force_zero, height_zero = problem.own(state, 0)

@@ -264,7 +264,7 @@ def dense(duration: Any, noise: SensorNoise) -> Any:
 
 def scattered(bench: Workbench, base: Refit) -> tuple[Problem, Any]:
     """Return two short trials at their full rate, whose K1, C1 and C2 scatter."""
-    trials = [replace(trial.at_full_rate(), height_t=np.empty(0)) for trial in bench.trials[2:]]
+    trials = [replace(trial.full_rate, height_t=np.empty(0)) for trial in bench.trials[2:]]
     cut = []
     for trial in trials:
         first = int(np.searchsorted(trial.t, trial.t_contact)) - 50

@@ -15,6 +15,7 @@
 """Every effect of the registry: as the contract says, absent at zero strength, differentiable."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 import math
 from pathlib import Path
@@ -217,6 +218,26 @@ def test_a_trial_may_start_at_any_time(effect: Effect, scale: Scale, driven: Cal
     # Stamps of 64 s and more have 1e-14 s of rounding, which the steps' lengths inherit.
     assert np.allclose(first.force, second.force, rtol=0.0, atol=1e-8 * first.force.max())
     assert np.allclose(first.height, second.height, rtol=0.0, atol=1e-8 * first.height.max())
+
+
+@every
+def test_what_comes_later_changes_nothing_before(
+    effect: Effect, scale: Scale, driven: Callable
+) -> None:
+    # The fit looks for the touch with the first steps of a trial alone.
+    model = Model((effect.name,))
+    theta, trial = _strong(model, scale), driven()
+    whole = model.predict(trial, theta, directions=False).force
+    for steps in (120, 905, 2200):
+        ends = np.append(np.arange(steps + 1), trial.t.size - 1)
+        head = replace(
+            trial,
+            t=trial.t[ends],
+            displacement=trial.displacement[ends],
+            height_t=np.empty(0),
+        )
+        force = model.predict(head, theta, directions=False).force[:steps]
+        assert np.abs(force - whole[:steps]).max() <= 1e-12 * whole.max()
 
 
 @every

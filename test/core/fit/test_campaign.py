@@ -21,7 +21,7 @@ import sys
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.campaign import Fit, fit, Memory
+from hapticvision_ros.core.fit.campaign import _jump_variance, Fit, fit, Memory
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.records import Segmentation, Signal
 from hapticvision_ros.core.segmentation import segment
@@ -288,3 +288,18 @@ def test_zeros_of_few_trials_that_wander_alike_do_not_drift() -> None:
     """Two trials whose zeros happen to go the same way: 0.04 N within 16 s."""
     memory = _memory(6008)
     assert 0.02 < memory.wander < 0.08
+
+
+def test_a_jump_is_uncertain_where_the_force_bends() -> None:
+    """By half a sample's step of the slope, over the samples of the mean, and beside it."""
+    t = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 7.0, 8.0])
+    force = np.array([0.0, 0.0, 4.0, 4.0, 4.0, 4.0])
+    count = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 0.0])
+    variance = np.full(6, np.nan)
+    middle = 0.5 * (t[1:] + t[:-1])
+    _jump_variance(force, middle, np.diff(t) / np.maximum(count, 1.0), count, 0.5, variance)
+    # Both corners turn the slope by 4.
+    assert variance == pytest.approx([1.0, 1.0, 1.0, 0.25, 0.0, 0.0])
+    for size in (1, 2):
+        _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, variance[:size])
+        assert variance[:size].tolist() == [0.0] * size

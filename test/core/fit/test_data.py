@@ -118,8 +118,12 @@ def test_steps_hold_every_sample_once_and_are_short_near_events() -> None:
     assert made.force.size < 0.1 * len(trial.force)
     near = np.abs(made.t[:-1] - 3.0) < 0.02
     assert np.all(made.force_count[near] == 1.0)
-    full = made.at_full_rate()
+    full = made.full_rate
     assert full.force.size == len(trial.force)
+    head = made.head(50)
+    assert head.t[-1] == made.t[-1] and head.t.size == head.displacement.size == 52
+    assert np.array_equal(head.force[:50], made.force[:50])
+    assert head.force_count[50] == 0.0 and head.height.size == head.height_t.size == 0
 
 
 def test_a_glitch_is_left_out_of_its_step() -> None:
