@@ -68,7 +68,11 @@ class Signal:
     def between(self, start: float, stop: float) -> 'Signal':
         """Return the samples with ``start <= t < stop`` [s], as views."""
         first, last = np.searchsorted(self.t, (start, stop))
-        return Signal(self.t[first:last], self.value[first:last])
+        # Made without the checks, which the whole has passed.
+        part = object.__new__(Signal)
+        object.__setattr__(part, 't', self.t[first:last])
+        object.__setattr__(part, 'value', self.value[first:last])
+        return part
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the values at times `t` [s], linear in between and held at the ends."""
