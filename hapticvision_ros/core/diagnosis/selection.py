@@ -175,13 +175,14 @@ def resolved(bench: Workbench) -> bool:
     """
     Return whether the encoders show how the arm stops after the fastest push.
 
-    A withdrawal, which is quicker as a rule and shows less in the force, tells nothing of that.
+    How it slows down in the air, and a withdrawal, which is quicker as a rule and shows less in
+    the force, tell nothing of that.
     """
     return any(
         bend.duration > _RESOLVED * trial.path.interval
         for trial in bench.trials
         for bend in trial.path.bends
-        if trial.t_release is None or bend.stop < trial.t_release
+        if bend.t > trial.t_contact and (trial.t_release is None or bend.stop < trial.t_release)
     )
 
 

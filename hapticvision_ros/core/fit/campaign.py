@@ -84,7 +84,7 @@ _BETTER: Final = 0.8
 """Part of the squares near the touch that another onset leaves, to be chosen."""
 _FIRST_RECORDS: Final = 2
 """Records that the first look at the noise takes, about: it only has to come near."""
-_BLURS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+_BLURS: Final = (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""
@@ -616,8 +616,14 @@ class Problem:
             near = range(max(place - 1, 0), min(place + 1, last) + 1)
             best = min(near, key=misfit)
             if best == place:
-                return _BLURS[place]
+                break
             place = best
+        if len(near) < 3:
+            return _BLURS[place]
+        # Between the places: what is taken for less sure than it is rewards a smoother model.
+        below, here, above = (misfit(each) for each in near)
+        aside = 0.5 * (below - above) / max(below - 2.0 * here + above, 1e-300)
+        return _BLURS[place] * 2.0 ** min(max(aside, -0.5), 0.5)
 
 
 def places_of(model: Model, effects: Sequence[str]) -> list[int]:

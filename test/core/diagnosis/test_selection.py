@@ -19,6 +19,7 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
     _near,
@@ -78,6 +79,16 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [general], 0.0) == [general]
     strong = replace(weak, strength=0.2)
     assert _good(bench, [strong, general], 0.0) == [strong, general]
+
+
+def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any) -> None:
+    bench, _ = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    moved = []
+    for trial in bench.trials:
+        bends = tuple(replace(bend, t=0.5 * trial.t_contact) for bend in trial.path.bends)
+        moved.append(replace(trial, path=replace(trial.path, bends=bends)))
+    assert resolved(bench)
+    assert not resolved(Workbench(moved, None, bench.memory))
 
 
 def test_the_quicker_an_effect_is_over_the_more_is_not_told_from_it(world: Any) -> None:

@@ -21,8 +21,16 @@ import sys
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.campaign import _jump_variance, Fit, fit, Memory
+from hapticvision_ros.core.fit.campaign import (
+    _jump_variance,
+    _jumps,
+    Fit,
+    fit,
+    Memory,
+    Problem,
+)
 from hapticvision_ros.core.fit.intervals import profile_intervals
+from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Segmentation, Signal
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim import campaigns, specimen
@@ -303,3 +311,23 @@ def test_a_jump_is_uncertain_where_the_force_bends() -> None:
     for size in (1, 2):
         _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, variance[:size])
         assert variance[:size].tolist() == [0.0] * size
+
+
+@pytest.mark.parametrize('blur', [0.09, 0.35, 0.7])
+def test_how_well_the_moments_of_jumps_are_known_is_seen(blur: float) -> None:
+    """Between the places that are tried, too: what is left over would reward a smoother model."""
+    cell = Cell(rate=500.0, force_noise=0.002, hold=2.0, recovery=2.0)
+    result = fit(campaign(3, 6, cell=cell))
+    old, random = result.problem, np.random.default_rng(8)
+    trials = []
+    for index, trial in enumerate(old.trials):
+        force = (
+            old.predict(result.state, index, directions=False).force
+            + old.own(result.state, index)[1]
+        )
+        variance = _jumps(force, trial, blur) + 0.002**2 / np.maximum(trial.force_count, 1.0)
+        noisy = force + np.sqrt(variance) * random.standard_normal(force.size)
+        trials.append(replace(trial, force=noisy))
+    problem = Problem(old.model, trials)
+    noise = SensorNoise(0.002, 1e-9, 0.01)
+    assert problem.sharpest(result.state, noise, 1.0) == pytest.approx(blur, rel=0.2)
