@@ -53,6 +53,9 @@ def _environment(module: str, constants: Any, name: str) -> Any:
     return made
 
 
+# Under numba's own name: what other packages keep meanwhile does not ask for this one.
+_environment.__module__ = environment.__name__
+_environment.__name__ = _environment.__qualname__ = '_rebuild_env'
 environment._rebuild_env = _environment
 
 

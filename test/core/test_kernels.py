@@ -66,3 +66,20 @@ def test_a_kernel_that_is_kept_comes_without_the_compiler(tmp_path: Path) -> Non
     ]
     # What is compiled after a kernel was read finds all that the compiler needs.
     assert said == [['True', 'True', 'TypingError'], ['False', 'False', 'TypingError']]
+
+
+def test_what_another_package_keeps_does_not_ask_for_this_one(tmp_path: Path) -> None:
+    (tmp_path / 'other.py').write_text(
+        'import numba\n'
+        '@numba.njit(cache=True)\n'
+        'def double(x):\n'
+        '    return 2.0 * x\n'
+        'assert double(1.5) == 3.0\n'
+        'assert sum(double.stats.cache_hits.values()) == hits\n'
+    )
+    for start in (
+        'import hapticvision_ros.core.kernels; hits = 0',
+        'import sys; sys.modules["hapticvision_ros"] = None; hits = 1',
+    ):
+        command = f'import builtins; {start}; builtins.hits = hits; import other'
+        subprocess.run([sys.executable, '-c', command], cwd=tmp_path, check=True)

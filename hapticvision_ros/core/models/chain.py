@@ -41,6 +41,9 @@ the trapezoidal rule for a short step and the implicit Euler rule for a long one
 
 Touch and loss of contact fall inside steps: a step is split there, so that force and surface are
 continuous and differentiable functions of the contact offset, the pull-off force and all others.
+The loss is where a straight line through the force meets the pull-off force, and earlier where
+the chain relaxes so fast within the step that the part up to there would pull on average. A tool
+that does not withdraw is left by no force that only relaxes.
 The mass M takes the tool's speed at the touch and, once free, swings on the chain until the tool
 meets it again; a corner of the tool's path is passed within one step, over which the load cell
 averages the blow.
@@ -230,6 +233,8 @@ _TOLERANCE = 1e-6
 _SMALLEST = 1e-16
 """Absolute change of u [m] at which it may."""
 _MOST_ITERATIONS = 60
+_SHORTENED = 8
+"""How often the part of a step before the loss is shortened where it pulls."""
 _LOOK, _FIRST, _SURE, _LAST, _REST = range(5)
 """A step, as it is looked at; its first instant; decided; in contact up to the loss; after it."""
 _INSTANT = 1e-2
@@ -567,7 +572,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 while True:
                     pushed = d_end - start
                     total = f_z * z + f_d * pushed
-                    if 1.5 * total - 0.5 * last < -f_ad:
+                    ends = 1.5 * total - 0.5 * last < -f_ad
+                    # A tool that does not withdraw is left by no force that only relaxes.
+                    if ends and (pushed < 0.0 or total < -f_ad):
                         break
                     for j in range(directions):
                         dfc = bent[j, _B_F_Z] * z + bent[j, _B_F_D] * pushed
@@ -711,7 +718,8 @@ def _respond(  # type: ignore[no-untyped-def]
                         if massive:
                             pull = (d_end - d_start) * per_h
                             seen += mass * (pull - speed) * per_h
-                        if 1.5 * seen - 0.5 * force[i - 1] < -f_ad:
+                        ends = 1.5 * seen - 0.5 * force[i - 1] < -f_ad
+                        if ends and (d[i + 1] < d[i] or massive or seen < -f_ad):
                             break
                     elif x_end < d_end:
                         break
@@ -760,7 +768,8 @@ def _respond(  # type: ignore[no-untyped-def]
                     if massive:
                         spurt = ((d[i + 1] - d[i]) * per_h - speed) * per_h
                         seen += mass * spurt
-                    if 1.5 * seen - 0.5 * force[i - 1] < -f_ad:
+                    ends = 1.5 * seen - 0.5 * force[i - 1] < -f_ad
+                    if ends and (d[i + 1] < d[i] or massive or seen < -f_ad):
                         break
                 elif x_end < d_end:
                     break
@@ -840,6 +849,8 @@ def _respond(  # type: ignore[no-untyped-def]
         if contact:
             last = force[i - 1]
         stage = _LOOK
+        first = 0.0
+        shortened = 0
         force[i] = 0.0
         for j in range(directions):
             d_force[j, i] = 0.0
@@ -952,10 +963,11 @@ def _respond(  # type: ignore[no-untyped-def]
                 middle += 0.5 * change
             pull = (d[i + 1] - d[i]) / h
             thrust = mass * (pull - speed) / (h if stage == _FIRST else hs)
-            probing = stage == _FIRST
+            probing = stage == _FIRST or (stage == _LAST and shortened < _SHORTENED)
             if touching and stage == _LOOK:
                 mean = total + thrust
-                if 1.5 * mean - 0.5 * last < -f_ad:
+                ends = 1.5 * mean - 0.5 * last < -f_ad
+                if ends and (pull < 0.0 or massive or mean < -f_ad):
                     if split:
                         if mean < -f_ad:
                             touching = False
@@ -1072,7 +1084,9 @@ def _respond(  # type: ignore[no-untyped-def]
                     dfc += slope * du
                     d_total += total_slope * du
                     if probing:
-                        d_probe = d_total + (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
+                        span = hs if stage == _LAST else h
+                        d_probe = d_total - thrust * dhs / span
+                        d_probe += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / span
                         if stage == _FIRST:
                             d_first[j] = d_probe
                         else:
@@ -1111,6 +1125,20 @@ def _respond(  # type: ignore[no-untyped-def]
                 if stage == _LOOK:
                     stage = _FIRST
                     share = _INSTANT
+                    continue
+                if stage == _LAST:
+                    # What relaxes within the step falls faster than the straight line: the part
+                    # is as long as it does not pull on average.
+                    mean = total + thrust
+                    shortened += 1
+                    if mean >= -f_ad or first <= mean:
+                        shortened = _SHORTENED
+                        continue
+                    ratio = (first + f_ad) / (first - mean)
+                    for j in range(directions):
+                        change = d_first[j] * (1.0 - ratio) + dq[j, _FAD] + ratio * d_mean[j]
+                        d_part[j] = ratio * d_part[j] + share * h * change / (first - mean)
+                    share = max(share * ratio, _SHORTEST)
                     continue
                 first = total + thrust
                 share = 1.0

@@ -482,6 +482,34 @@ def test_a_tool_in_air_meets_nothing() -> None:
         assert not array.any()
 
 
+@pytest.mark.parametrize('alpha', [0.5, 0.7, 0.8, 0.9])
+@pytest.mark.parametrize('hold', [2.0, 5.0])
+def test_without_adhesion_nothing_pulls_at_the_tool(alpha: float, hold: float) -> None:
+    # What relaxes within the step of the loss falls faster than a straight line.
+    draft = Draft(neutral().astype(np.complex128))
+    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = 1000.0, 800.0, 1600.0
+    SPRINGPOT.shape(draft, [alpha], None)
+    units = np.array([[k.real, c.real] for k, c in draft.units])
+    chain = Chain(draft.slots.real.copy(), units[:, 0].copy(), units[:, 1].copy())
+    t = np.arange(0.0, hold + 5.0, 1e-3)
+    stop = 1.0 + 0.8
+    d = np.interp(
+        t, [0.0, 1.0, stop, stop + hold, stop + hold + 0.9], [-1e-3, 0.0, 0.008, 0.008, -0.01]
+    )
+    force = respond(t, d, chain).force
+    assert force.min() > -5e-4 * force.max()
+
+
+def test_a_tool_at_rest_loses_no_contact_to_what_only_relaxes() -> None:
+    # Four relaxation times within a step: the line through two means crosses zero at once.
+    body = Body(K1=1000.0, C1=5.0, C2=20.0)
+    t = np.arange(0.0, 30.0, 0.1)
+    d = np.interp(t, [0.0, 1.0, 3.0, 30.0], [-1e-3, 0.0, 0.006, 0.006])
+    force = respond(t, d, body.chain()).force
+    held = (t[:-1] > 3.0) & (t[:-1] < 10.0)
+    assert np.all(force[held] > 0.0)
+
+
 def test_the_touch_may_fall_anywhere_within_a_step() -> None:
     # The mean force over the step of the touch grows with the square of what is left of the step
     # for a spring, and is continuous as the touch crosses the step's end.
