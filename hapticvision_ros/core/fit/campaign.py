@@ -623,7 +623,7 @@ class Problem:
         # Between the places: what is taken for less sure than it is rewards a smoother model.
         below, here, above = (misfit(each) for each in near)
         aside = 0.5 * (below - above) / max(below - 2.0 * here + above, 1e-300)
-        return _BLURS[place] * 2.0 ** min(max(aside, -0.5), 0.5)
+        return _BLURS[place] * math.exp2(min(max(aside, -0.5), 0.5))
 
 
 def places_of(model: Model, effects: Sequence[str]) -> list[int]:

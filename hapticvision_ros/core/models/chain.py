@@ -849,7 +849,7 @@ def _respond(  # type: ignore[no-untyped-def]
         if contact:
             last = force[i - 1]
         stage = _LOOK
-        first = 0.0
+        at_once = 0.0
         shortened = 0
         force[i] = 0.0
         for j in range(directions):
@@ -1131,31 +1131,31 @@ def _respond(  # type: ignore[no-untyped-def]
                     # is as long as it does not pull on average.
                     mean = total + thrust
                     shortened += 1
-                    if mean >= -f_ad or first <= mean:
+                    if mean >= -f_ad or at_once <= mean:
                         shortened = _SHORTENED
                         continue
-                    ratio = (first + f_ad) / (first - mean)
+                    ratio = (at_once + f_ad) / (at_once - mean)
                     for j in range(directions):
                         change = d_first[j] * (1.0 - ratio) + dq[j, _FAD] + ratio * d_mean[j]
-                        d_part[j] = ratio * d_part[j] + share * h * change / (first - mean)
+                        d_part[j] = ratio * d_part[j] + share * h * change / (at_once - mean)
                     share = max(share * ratio, _SHORTEST)
                     continue
-                first = total + thrust
+                at_once = total + thrust
                 share = 1.0
-                if first <= -f_ad:
+                if at_once <= -f_ad:
                     touching = False
                     rate = 0.0
                     rate_before = 0.0
                     stage = _SURE
-                elif 2.0 * mean - first >= -f_ad:
+                elif 2.0 * mean - at_once >= -f_ad:
                     stage = _SURE
                 else:
                     stage = _LAST
-                    share = 0.5 * (first + f_ad) / (first - mean)
+                    share = 0.5 * (at_once + f_ad) / (at_once - mean)
                     share = min(max(share, _SHORTEST), 1.0 - _SHORTEST)
                     for j in range(directions):
                         change = d_first[j] * (0.5 - share) + 0.5 * dq[j, _FAD] + share * d_mean[j]
-                        d_part[j] = h * change / (first - mean)
+                        d_part[j] = h * change / (at_once - mean)
                 continue
             for k in range(units):
                 zu[k] += left_u[k] * (fc * softness[k] - zu[k])
