@@ -254,7 +254,7 @@ def _rows(
     """
     problem, state = _beginning(bench, refit, plan.trial)
     force, height = problem.records(state, 0)
-    (jumps,) = problem.jumps(state, noise.blur)
+    (jumps,) = problem.unsure(state, noise.blur)
     rows = whitener(force_blocks(plan.trial, jumps), noise.force_noise)(force)
     if plan.trial.height_t.size:
         heights = whitener(height_blocks(plan.trial), noise.height_noise)(height)
@@ -350,7 +350,7 @@ class _Rival:
         self._trials = [
             _said(right.problem, right.state, index) for index in range(len(bench.trials))
         ]
-        self._jumps = right.problem.jumps(right.state, self._blur)
+        self._jumps = right.problem.unsure(right.state, self._blur)
         self._noise: dict[int, TrialNoise] = {}
         self._problem = Problem(rival.model, self._trials, bench.scatter)
         self._state = carried(rival.problem, rival.state, self._problem)
@@ -362,7 +362,7 @@ class _Rival:
         trials = [*self._trials, _said(alone, state, 0)]
         problem = Problem(self._problem.model, trials, self._bench.scatter)
         begin = carried(self._problem, self._state, problem)
-        jumps = (*self._jumps, *alone.jumps(state, self._blur))
+        jumps = (*self._jumps, *alone.unsure(state, self._blur))
         try:
             lead, _ = self._fitted(problem, begin, jumps)
         except ValueError:

@@ -42,6 +42,8 @@ _NEAR: Final = 4.0
 """Intervals of the encoders about a change of speed in which the force may be off."""
 _SETTLING: Final = 0.05
 """Part of a contact after it in which the object may still cling to the tool."""
+_UNSURE: Final = 0.3
+"""What the speed of a push is not known by makes in its force, over the noise, to leave it out."""
 _SIGMAS: Final = 3.0
 _LOUD: Final = 1.3
 _LOUD_TRIAL: Final = 1.7
@@ -105,6 +107,11 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
         _, force_zero, height_zero = problem.own(found.state, index)
         t = 0.5 * (full.t[1:] + full.t[:-1])
         good = calm(full, prediction.force, found.force_noise) & ~_turning(full, t)
+        push, error = full.pushed
+        if error * float(np.abs(prediction.force[push]).max(initial=0.0)) > (
+            _UNSURE * found.force_noise.std
+        ):
+            good[push] = False
         residual = full.force - prediction.force - force_zero
         forces.append((trial.name, *_parted(t[good], residual[good], trial, phase, after=True)))
         if full.height_t.size:

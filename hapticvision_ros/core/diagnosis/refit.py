@@ -210,7 +210,7 @@ class Workbench:
         problem = Problem(fit.model, self.trials, self.scatter)
         state = carried(fit.problem, fit.state, problem)
         noise = fit.noise
-        problem.set_noise(noise.force, noise.height, problem.jumps(state, noise.blur))
+        problem.set_noise(noise.force, noise.height, problem.unsure(state, noise.blur))
         return self._settled(problem, state, noise.force, noise.height, noise.blur)
 
     def refit(self, model: Model, near: Refit) -> Refit | None:
@@ -505,7 +505,7 @@ class Workbench:
         best: Refit | None = None
         for turn in range(_ROUNDS):
             if turn:
-                replace_onsets(problem, state, force, blur)
+                replace_onsets(problem, state, force)
             state = minimise(
                 problem.evaluate,
                 state,
@@ -514,9 +514,9 @@ class Workbench:
                 max_evaluations=_STEPS,
             ).theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
-            force, height = self._most_likely(left, force, height, problem.jumps(state, blur))
+            force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
             blur = problem.sharpest(state, force, blur)
-            jumps = problem.jumps(state, blur)
+            jumps = problem.unsure(state, blur)
             problem.set_noise(force, height, jumps)
             residual, _ = problem.evaluate(state)
             cost = float(residual @ residual)

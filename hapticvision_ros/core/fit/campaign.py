@@ -39,7 +39,7 @@ from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.data import FitTrial, prepare, runs
+from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST, runs
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution
 from hapticvision_ros.core.fit.noise_model import (
@@ -79,7 +79,9 @@ _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
 """The onset is looked for in this many errors of the detection, and so often more finely."""
 _MISPLACED: Final = 4.0
-"""Squares near the touch, over those of the noise, from which on the onset is looked for again."""
+"""Squares at the touch, over those of the noise, from which on the onset is looked for again."""
+_TOUCHING: Final = 3
+"""Steps before and after the touch that tell whether it is misplaced."""
 _BETTER: Final = 0.8
 """Part of the squares near the touch that another onset leaves, to be chosen."""
 _FIRST_RECORDS: Final = 2
@@ -109,14 +111,10 @@ _SEEN: Final = 12.0
 """Gain in likelihood from which on slower noise is seen without contact."""
 _WANDERS: Final = 4.0
 """The same for a zero that wanders: a little too much of it costs little."""
-_SPEED: Final = 2e-3
-"""Relative error of the speed of a push below which it is taken for right."""
 _DRIFTS: Final = 10.0
 """Gain in likelihood from which on a zero drifts alike in all trials and does not wander."""
 _ZERO: Final = 0.03
 """How far the zero of a load cell may be from the one before contact, over the largest force."""
-_QUIET: Final = 1e-4
-"""Noise that a sensor has at least, over the largest reading: that of a class of 0.01 %."""
 _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
@@ -369,8 +367,8 @@ class Problem:
         force, height : SensorNoise
             Noise of one sample.
         jumps : sequence of ndarray, optional
-            For each trial, the variance that each step's force has for that a jump of the force
-            is known only to the sample [N^2].
+            For each trial, the variance that each step's force has for that the moments of
+            jumps and the speed of the push are not known exactly [N^2].
 
         """
         weights = []
@@ -574,6 +572,14 @@ class Problem:
             for i, trial in enumerate(self.trials)
         )
 
+    def unsure(self, state: FloatArray, blur: float = 1.0) -> tuple[FloatArray, ...]:
+        """Return the same with what the speed of the push is not known by [N^2]."""
+        variances = []
+        for i, trial in enumerate(self.trials):
+            force = self.predict(state, i, directions=False).force
+            variances.append(_add_speed(_jumps(force, trial, blur), force, trial))
+        return tuple(variances)
+
     def sharpest(self, state: FloatArray, noise: SensorNoise, blur: float) -> float:
         """
         Return how well the moments of jumps are known [samples].
@@ -604,7 +610,7 @@ class Problem:
             if place not in known:
                 known[place] = 0.0
                 for trial, force, residual in parts:
-                    jumps = _jumps(force, trial, _BLURS[place])
+                    jumps = _add_speed(_jumps(force, trial, _BLURS[place]), force, trial)
                     filter_ = whitener(force_blocks(trial, jumps), noise)
                     white = filter_(residual[np.newaxis])[0]
                     known[place] += float(white @ white) + filter_.log_determinant
@@ -688,8 +694,14 @@ def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
         slope = np.diff(force) / np.diff(trial.middle)
         moved = _moved(force, trial.middle, slope, blur, _spacing(trial))
         variance = np.maximum(variance, moved)
+    return variance
+
+
+def _add_speed(variance: FloatArray, force: FloatArray, trial: FitTrial) -> FloatArray:
+    """Return the variance with what the speed of the push is not known to add."""
     push, error = trial.pushed
-    if error > _SPEED:
+    if error > 0.0:
+        # The error is one for the whole push: each step stands for as much as all tell together.
         variance[push] += (push.stop - push.start) * (error * force[push]) ** 2
     return variance
 
@@ -948,8 +960,8 @@ def _weighted(
     """Return the best parameters with the noise that their residual shows."""
     trials = problem.trials
     for turn in range(_ROUNDS):
-        moved = replace_onsets(problem, state, force_noise, blur) if turn else False
-        jumps = problem.jumps(state, blur)
+        moved = replace_onsets(problem, state, force_noise) if turn else False
+        jumps = problem.unsure(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and fresh
         if first:
@@ -966,7 +978,7 @@ def _weighted(
             )
         # Error bars are those of moments known to a sample, however sharp these look.
         blur = max(problem.sharpest(state, force_noise, blur), 1.0)
-        problem.set_noise(force_noise, height_noise, problem.jumps(state, blur))
+        problem.set_noise(force_noise, height_noise, problem.unsure(state, blur))
         solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
         state = solution.theta
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
@@ -1002,7 +1014,7 @@ def _first_noise(trials: Sequence[FitTrial]) -> tuple[SensorNoise, SensorNoise]:
 def quietest(trials: Sequence[FitTrial]) -> tuple[float, float]:
     """Return the least noise of a sample of force [N] and of height [m]."""
     peak = max(float(np.abs(trial.force).max()) for trial in trials)
-    return _QUIET * peak, _QUIET * trials[0].reference_depth
+    return QUIETEST * peak, QUIETEST * trials[0].reference_depth
 
 
 def follow(
@@ -1220,21 +1232,21 @@ def _search(
         for _ in range(2):
             find_onsets(problem, state)
             # Where the force jumps depends on the onsets.
-            problem.set_noise(force_noise, height_noise, problem.jumps(state))
+            problem.set_noise(force_noise, height_noise, problem.unsure(state))
             state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
-        problem.set_noise(force_noise, height_noise, problem.jumps(state))
+        problem.set_noise(force_noise, height_noise, problem.unsure(state))
         residual, _ = problem.evaluate(state)
         ends.append((float(residual @ residual) + problem.log_determinant, state))
     # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
     ends.sort(key=lambda end: end[0])
     state = ends[0][1]
-    problem.set_noise(force_noise, height_noise, problem.jumps(state))
+    problem.set_noise(force_noise, height_noise, problem.unsure(state))
     if not model.effects:
         return problem, [each for _, each in ends]
     K1, C1, C2 = base.values(state[:3])
     scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
-    whole.set_noise(force_noise, height_noise, problem.jumps(state))
+    whole.set_noise(force_noise, height_noise, problem.unsure(state))
     guess = model.values(model.first_guess(scale))
     tried: list[Solution] = []
     for factor in (1.0, 0.1, 0.01, 10.0):
@@ -1282,7 +1294,7 @@ def find_onsets(problem: Problem, state: FloatArray) -> None:
         _find_onset(problem, state, index)
 
 
-def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur: float) -> bool:
+def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise) -> bool:
     """
     Look for the onsets again that leave more than the noise near the touch.
 
@@ -1294,8 +1306,6 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
         All parameters; changed where another onset is better.
     noise : SensorNoise
         The noise of the force.
-    blur : float
-        How well the moments of jumps are known, in samples.
 
     Returns
     -------
@@ -1306,13 +1316,16 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
     moved = False
     for index, trial in enumerate(problem.trials):
         chosen = _near_touch(trial)
-        force = problem.predict(state, index, directions=False).force
-        variance = _jumps(force, trial, blur)[chosen] + noise.std**2
         head = trial.head(chosen.stop)
-        squares = _squares(problem, state, index, head, chosen)
-        if squares < _MISPLACED * float(trial.force_count[chosen] @ variance):
+        place = problem.places[index].start
+        old = float(state[place])
+        # A jump that is misplaced passes for one whose moment is not known: its own samples tell.
+        first = int(np.argmax(head.displacement > -old))
+        beside = slice(max(first - _TOUCHING, 0), min(first + _TOUCHING, chosen.stop))
+        left = _squares(problem, state, index, head, beside)
+        if left < _MISPLACED * float(head.force_count[beside].sum()) * noise.std**2:
             continue
-        place, old = problem.places[index].start, float(state[problem.places[index].start])
+        squares = _squares(problem, state, index, head, chosen)
         _find_onset(problem, state, index)
         if _squares(problem, state, index, head, chosen) < _BETTER * squares:
             moved = True

@@ -56,6 +56,8 @@ _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 _CORNER_SAMPLES: Final = 64
 """Corners that are so many samples of the encoders apart may be one change of speed."""
+_APART: Final = 16
+"""Those that are further apart are tried as several if they are not one."""
 _DENSE: Final = 0.05
 """Quantile of the intervals of the encoders that is theirs where samples are dense."""
 _BURST: Final = 10
@@ -66,8 +68,12 @@ _BESIDE: Final = 4
 """Samples beside a gap that tell the tool's way into it."""
 _UNSEEN: Final = 0.02
 """Share of the depth that the way in a gap may be off, if the tool went on as before or after."""
-_SWAMPED: Final = 0.4
-"""What the speed of a push is not known by makes in the largest force, over the noise there."""
+QUIETEST: Final = 1e-4
+"""Noise that a sensor has at least, over the largest reading: that of a class of 0.01 %."""
+_UNSURE: Final = 0.005
+_SWAMPED: Final = 1.0
+"""Relative error of a push's speed, and what it makes in the force over the noise, from which on
+the way is not known: few samples of the encoders, whose corners are off as well."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
@@ -427,7 +433,9 @@ def planned(
         corners += [end + gone, end + gone + recovery + like.interval]
         levels += [-_AIR * depth, -_AIR * depth]
     edges = np.arange(0.0, corners[-1], like.interval)
-    path = ToolPath(np.array(corners), np.array(levels), like.path.noise)
+    path = ToolPath(
+        np.array(corners), np.array(levels), like.path.noise, interval=like.path.interval
+    )
     heights = np.empty(0)
     if like.height_t.size:
         heights = np.arange(0.5 * like.height_interval, edges[-1], like.height_interval)
@@ -765,16 +773,19 @@ def _bent(
             groups.append([k])
     new_knots, new_levels = [float(knots[0])], [float(levels[0])]
     bends = []
-    for number, group in enumerate(groups):
-        left = float(knots[groups[number - 1][-1]]) if number else float(knots[0])
-        right = (
-            float(knots[groups[number + 1][0]]) if number + 1 < len(groups) else float(knots[-1])
-        )
-        start, stop = float(knots[group[0]]), float(knots[group[-1]])
-        around = (left, start, stop, right)
+    pending = groups[::-1]
+    while pending:
+        group = pending.pop()
+        around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
         tried = (_bend(t, value, around, step, noise, edge) for edge in _EDGE_SAMPLES)
         found = next(filter(None, tried), None)
+        gaps = np.diff(knots[group])
+        if found is None and gaps.max(initial=0.0) > _APART * step:
+            # A stop and the start of the release after a short hold are two changes of speed.
+            cut = int(np.argmax(gaps)) + 1
+            pending += [group[cut:], group[:cut]]
+            continue
         if found is None:
             new_knots += knots[group].tolist()
             new_levels += levels[group].tolist()
@@ -799,7 +810,7 @@ def _bent(
 def _bend(
     t: FloatArray,
     value: FloatArray,
-    around: tuple[float, float, float, float],
+    around: Sequence[float],
     step: float,
     noise: float,
     edge: int,
@@ -936,9 +947,13 @@ def _unknown_way(trial: Trial, made: FitTrial) -> str | None:
             f'changed its speed in contact, so its way there is not known'
         )
     push, error = made.pushed
-    before = made.samples.force[: int(np.searchsorted(made.samples.edges, made.t_contact))]
-    share = error * made.peak_force / max(float(before.std()), 1e-300) if before.size else 0.0
-    if before.size < _BASELINE or share < _SWAMPED:
+    before = int(np.searchsorted(made.samples.edges, made.t_contact)) - 2
+    if error < _UNSURE or before < _BASELINE:
+        return None
+    # A load cell that tells only steps has no noise at rest.
+    noise = max(float(made.samples.force[:before].std()), QUIETEST * made.peak_force)
+    share = error * made.peak_force / noise
+    if share < _SWAMPED:
         return None
     return (
         f'the push took {1e3 * (made.t[push.stop] - made.t[push.start]):.0f} ms, with a tool '

@@ -455,7 +455,7 @@ def _predict_one(
     turn_phases(problem, state)
     for _ in range(3):
         # Where the force jumps depends on the onset.
-        problem.set_noise(noise.force, noise.height, problem.jumps(state, noise.blur))
+        problem.set_noise(noise.force, noise.height, problem.unsure(state, noise.blur))
         solution = minimise(evaluate, state[p:], bounds, tolerance=_TOLERANCE)
         state[p:] = solution.theta
     full = _every_height(one.full_rate, trial)
@@ -574,7 +574,7 @@ def refit_without(
     state = np.concatenate([fit.theta, *(fit.state[whole.places[place]] for place in kept)])
     for _ in range(3):
         # Where the force jumps, and so what a sample weighs, is seen by the others alone.
-        jumps = problem.jumps(state, fit.noise.blur)
+        jumps = problem.unsure(state, fit.noise.blur)
         problem.set_noise(fit.noise.force, fit.noise.height, jumps)
         state = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE).theta
     return replace(Trained.of(fit, campaign), theta=state[: problem.p].copy())

@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 import importlib.util
+import math
 from pathlib import Path
 import sys
 
@@ -331,3 +332,38 @@ def test_how_well_the_moments_of_jumps_are_known_is_seen(blur: float) -> None:
     problem = Problem(old.model, trials)
     noise = SensorNoise(0.002, 1e-9, 0.01)
     assert problem.sharpest(result.state, noise, 1.0) == pytest.approx(blur, rel=0.2)
+
+
+def _two(seed: int, cell: Cell, speeds: tuple[float, float]) -> list:
+    """Return a slow and a quick push."""
+    made = [closed_form.record(Body(), cell, speed, 0.006, (seed, 9)) for speed in speeds]
+    return [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in made]
+
+
+def test_error_bars_hold_where_slow_encoders_leave_the_speed_unsure() -> None:
+    cell = Cell(
+        rate=500.0,
+        tool_rate=100.0,
+        hold=5.0,
+        recovery=3.0,
+        force_noise=0.005,
+        correlation=0.0,
+    )
+    scores = [_scores(fit(_two(seed, cell, (0.002, 0.02))), Body()) for seed in range(12)]
+    # Of C1, which the quick push tells; 9.8 if the speed is taken for known.
+    assert math.sqrt(np.mean(np.square(scores), axis=0)[1]) < 2.0
+
+
+def test_a_glitch_in_a_push_of_unsure_speed_is_set_aside() -> None:
+    cell = Cell(rate=1000.0, tool_rate=250.0, hold=5.0, recovery=3.0, encoder_noise=5e-5)
+    pairs = _two(0, replace(cell, force_noise=0.1), (0.01, 0.01))
+    trial, phases = pairs[0]
+    value = trial.force.value.copy()
+    first = int(np.searchsorted(trial.force.t, phases.t_contact + 0.3))
+    value[first:][:40] += 1.5
+    pairs[0] = replace(trial, force=Signal(trial.force.t, value)), phases
+    result = fit(pairs)
+    assert 38 <= result.trials[0].set_aside.size <= 44
+    # The push is told sample by sample.
+    inside = result.trials[1].force.between(phases.t_contact, phases.t_hold)
+    assert len(inside) > 500

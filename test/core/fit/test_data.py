@@ -242,6 +242,50 @@ def test_the_speed_of_a_quick_push_is_known_as_well_as_its_stamps() -> None:
     assert 3e-3 < errors[1] < 2e-2
 
 
+def _quick(name: str, noise: float, first: float, rounded: float = 0.0) -> Trial:
+    """Return a push of 9 samples of the encoders, under a load cell of some noise."""
+    random = np.random.default_rng(5)
+    t = np.arange(first, 20.0, 0.02)
+    moments = t + 1e-3 * random.standard_normal(t.size)
+    way = _stopping(moments, 0.0257, 0.0044) - 0.02 * np.maximum(moments - 13.0, 0.0)
+    height = 0.04 - way - 1e-6 * random.standard_normal(t.size)
+    whole = _trial()
+    force = np.where(whole.force.t < 0.95, 0.0, 5.0 + np.arange(len(whole.force)) * 1e-6)
+    force += noise * random.standard_normal(force.size)
+    if rounded:
+        force = rounded * np.round(force / rounded)
+    return replace(
+        whole, name=name, force=Signal(whole.force.t, force), tool_height=Signal(t, height)
+    )
+
+
+def test_a_push_whose_speed_swamps_the_noise_of_its_force_is_left_out() -> None:
+    """By the noise before the contact, of which the sample of the touch is no part."""
+    phases = replace(PHASES, t_contact=0.95)
+    loud = _quick('loud', 0.5, 0.007)
+    for first in (0.001, 0.007, 0.013):
+        for noise, rounded in ((0.005, 0.0), (1e-5, 0.01)):
+            quiet = _quick('quiet', noise, first, rounded)
+            (kept, left), told = prepare([(loud, phases), (quiet, phases)])
+            assert kept is not None and left is None
+            assert 'its speed is known to' in told[0]
+            share = float(told[0].split(' times the noise')[0].split()[-1])
+            assert 1.0 < share < 200.0
+
+
+def test_a_short_hold_leaves_both_changes_of_speed() -> None:
+    """A stop and a start of the release within 64 samples of the encoders are two corners."""
+    t = np.arange(0.0, 4.0, 0.004)
+    random = np.random.default_rng(0)
+    speed = np.interp(t, [0.0, 1.99, 2.01, 2.2, 2.24], [0.01, 0.01, 0.0, 0.0, -0.02], right=-0.02)
+    way = -0.01 + np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.004)))
+    phases = replace(PHASES, t_contact=1.0, t_hold=2.0, t_release=2.2, t_loss=2.5, t_end=4.0)
+    path = tool_path(Signal(t, way + 2e-6 * random.standard_normal(t.size)), phases)
+    bends = [bend for bend in path.bends if 1.9 < bend.t < 2.4]
+    assert [bend.t for bend in bends] == pytest.approx([2.0, 2.22], abs=0.003)
+    assert [bend.duration for bend in bends] == pytest.approx([0.02, 0.04], rel=0.2)
+
+
 def test_a_record_that_is_sparse_in_the_hold_has_no_gap() -> None:
     """As relaxation is often kept: dense at first, then every two seconds; encoders of 5 um."""
     whole = _trial()
