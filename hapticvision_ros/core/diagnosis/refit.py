@@ -42,6 +42,7 @@ from hapticvision_ros.core.fit.campaign import (
     Problem,
     replace_onsets,
     scale_of,
+    SHARPEST,
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
@@ -505,7 +506,8 @@ class Workbench:
         best: Refit | None = None
         for turn in range(_ROUNDS):
             if turn:
-                replace_onsets(problem, state, force)
+                # A jump that is misplaced passes for one whose moment is not known.
+                replace_onsets(problem, state, force, SHARPEST)
             state = minimise(
                 problem.evaluate,
                 state,

@@ -82,12 +82,14 @@ _MISPLACED: Final = 4.0
 """Squares at the touch, over those of the noise, from which on the onset is looked for again."""
 _TOUCHING: Final = 3
 """Steps before and after the touch that tell whether it is misplaced."""
-_BETTER: Final = 0.8
-"""Part of the squares near the touch that another onset leaves, to be chosen."""
+_BETTER: Final = 9.0
+"""What another onset takes out of the squares near the touch, over those of a sample's noise."""
 _FIRST_RECORDS: Final = 2
 """Records that the first look at the noise takes, about: it only has to come near."""
 _BLURS: Final = (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
+SHARPEST: Final = _BLURS[0]
+"""The best of it."""
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""
 _DENSE: Final = 0.05
@@ -960,7 +962,7 @@ def _weighted(
     """Return the best parameters with the noise that their residual shows."""
     trials = problem.trials
     for turn in range(_ROUNDS):
-        moved = replace_onsets(problem, state, force_noise) if turn else False
+        moved = replace_onsets(problem, state, force_noise, blur) if turn else False
         jumps = problem.unsure(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and fresh
@@ -1294,7 +1296,7 @@ def find_onsets(problem: Problem, state: FloatArray) -> None:
         _find_onset(problem, state, index)
 
 
-def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise) -> bool:
+def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur: float) -> bool:
     """
     Look for the onsets again that leave more than the noise near the touch.
 
@@ -1306,6 +1308,9 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise) -> b
         All parameters; changed where another onset is better.
     noise : SensorNoise
         The noise of the force.
+    blur : float
+        How well the moments of jumps are known, in samples: where one is misplaced by less, it is
+        left.
 
     Returns
     -------
@@ -1319,15 +1324,18 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise) -> b
         head = trial.head(chosen.stop)
         place = problem.places[index].start
         old = float(state[place])
-        # A jump that is misplaced passes for one whose moment is not known: its own samples tell.
         first = int(np.argmax(head.displacement > -old))
         beside = slice(max(first - _TOUCHING, 0), min(first + _TOUCHING, chosen.stop))
+        force = problem.predict(state, index, head, directions=False).force
+        variance = _jumps(force, head, blur)[beside] + noise.std**2
+        # The samples of the jump itself tell.
         left = _squares(problem, state, index, head, beside)
-        if left < _MISPLACED * float(head.force_count[beside].sum()) * noise.std**2:
+        if left < _MISPLACED * float(head.force_count[beside] @ variance):
             continue
         squares = _squares(problem, state, index, head, chosen)
         _find_onset(problem, state, index)
-        if _squares(problem, state, index, head, chosen) < _BETTER * squares:
+        better = squares - _BETTER * float(variance.max())
+        if _squares(problem, state, index, head, chosen) < better:
             moved = True
         else:
             state[place] = old
