@@ -46,10 +46,10 @@ _SAME: Final = 0.06
 """Relative difference of speed, depth and hold within which two pushes are the same."""
 _SAME_HOLD: Final = 0.2
 _POOLED: Final = 3.0
-"""Degrees of freedom that the mean over the three elements counts for in each."""
+"""Degrees of freedom that the likeliest common scatter counts for in each element."""
 _TREND: Final = 0.01
 """Probability below which a change over the campaign is no chance."""
-_SIZES: Final = (0.0, *np.geomspace(2e-4, 0.3, 60).tolist())
+_SIZES: Final = (0.0, *np.geomspace(2e-4, 0.3, 180).tolist())
 """Scatter that is tried."""
 _CAUTION: Final = 0.25
 """The scatter is taken as large as it is with this probability of being larger still."""
@@ -140,9 +140,12 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
         return None
     shifts, noises = _shifts(found)
     times = np.array([trial.campaign_time for trial in found.problem.trials])
-    shifts = _without_trend(shifts, noises, times, repeated)
+    slope = _trend(shifts, noises, times, repeated)
+    late = np.zeros(times.size) if slope == 0.0 else times - times.mean()
+    shifts = shifts - slope * late[:, np.newaxis]
     degrees = sum(len(group) - 1 for group in repeated)
-    common = _common(shifts, noises, repeated) ** 2
+    likeliest, largest = _common(shifts, noises, late, repeated)
+    common = likeliest**2
     squares, noise = np.zeros(3), np.zeros(3)
     for group in repeated:
         away = shifts[group] - shifts[group].mean(axis=0)
@@ -157,33 +160,51 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     variance = (_POOLED * common + told * squares) / (_POOLED + told * degrees)
     enlarged = (_POOLED + degrees) / float(chdtri(_POOLED + degrees, 1.0 - _CAUTION))
     std = np.sqrt(variance)
-    if std.max() < LEAST:
+    cautious = np.maximum(std * math.sqrt(enlarged), largest)
+    if cautious.max() < LEAST:
         return Scatter(np.zeros(3), np.zeros(3), degrees)
-    std = np.maximum(std, LEAST)
-    return Scatter(std, std * math.sqrt(enlarged), degrees)
+    std = np.where(std < LEAST, 0.0, std)
+    return Scatter(std, np.maximum(cautious, LEAST), degrees)
 
 
-def _common(shifts: FloatArray, noises: FloatArray, groups: Sequence[Sequence[int]]) -> float:
+def _common(
+    shifts: FloatArray, noises: FloatArray, late: FloatArray, groups: Sequence[Sequence[int]]
+) -> tuple[float, float]:
     """
-    Return the scatter that is most likely if it is the same in all three elements.
+    Return the scatter that is most likely if it is the same in all three elements, and a limit.
 
     One trial may tell the size of the force, and not how the elements share in it: each has the
-    whole covariance of its noise. The likelihood is restricted: the means of the groups are free.
+    whole covariance of its noise. The likelihood is restricted: the means of the groups are free,
+    and so is a change with time, where `late` is not zero. The scatter is above the limit with
+    the probability `_CAUTION`, if any order of its size is as likely beforehand.
     """
+    trials = np.concatenate([np.asarray(group) for group in groups])
+    slopes = int(late.any())
+    design = np.zeros((trials.size, 3, 3 * len(groups) + slopes))
+    row = 0
+    for number, group in enumerate(groups):
+        mine = slice(3 * number, 3 * (number + 1))
+        for index in group:
+            design[row, :, mine] = np.eye(3)
+            if slopes:
+                design[row, :, -1] = late[index]
+            row += 1
 
     def deviance(size: float) -> float:
-        total = 0.0
-        weights = np.linalg.inv(noises + size**2 * np.eye(3))
-        for group in groups:
-            chosen, mine = weights[group], shifts[group]
-            sum_ = chosen.sum(axis=0)
-            mean = np.linalg.solve(sum_, np.einsum('ijk,ik->j', chosen, mine))
-            away = mine - mean
-            total += float(np.einsum('ij,ijk,ik', away, chosen, away))
-            total += float(np.linalg.slogdet(sum_)[1] - np.linalg.slogdet(chosen)[1].sum())
-        return total
+        weights = np.linalg.inv(noises[trials] + size**2 * np.eye(3))
+        weighted = weights @ design
+        normal = np.einsum('ijp,ijq->pq', design, weighted)
+        seen = np.einsum('ijp,ij->p', weighted, shifts[trials])
+        squares = float(np.einsum('ij,ijk,ik', shifts[trials], weights, shifts[trials]))
+        squares -= float(seen @ np.linalg.solve(normal, seen))
+        return squares + float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(weights)[1].sum())
 
-    return float(min(_SIZES, key=deviance))
+    deviances = np.array([deviance(size) for size in _SIZES])
+    likeliest = float(_SIZES[int(np.argmin(deviances))])
+    # Of repeats that tell it well the limit is that of chi squared.
+    chances = np.cumsum(np.exp(-0.5 * (deviances - deviances.min()))[1:])
+    limit = int(np.searchsorted(chances, (1.0 - _CAUTION) * chances[-1]))
+    return likeliest, float(_SIZES[1:][limit])
 
 
 def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
@@ -211,10 +232,10 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
     return shifts, noises
 
 
-def _without_trend(
+def _trend(
     shifts: FloatArray, noises: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
-) -> FloatArray:
-    """Return the shifts without a common change over the campaign, where it is no chance."""
+) -> float:
+    """Return by how much the shifts change with time over the campaign, where it is no chance."""
     # What a trial tells of one factor of all three elements.
     weights = np.linalg.inv(noises).sum(axis=1)
     factors = np.sum(weights * shifts, axis=1) / weights.sum(axis=1)
@@ -223,11 +244,9 @@ def _without_trend(
     spread = float(late @ late)
     free = common.size - len(groups) - 1
     if spread == 0.0 or free < 1:
-        return shifts
+        return 0.0
     slope = float(common @ late) / spread
     rest = common - slope * late
     explained = slope**2 * spread
     ratio = explained / max(float(rest @ rest) / free, 1e-300)
-    if float(fdtrc(1, free, ratio)) > _TREND:
-        return shifts
-    return shifts - (slope * (times - times.mean()))[:, np.newaxis]
+    return slope if float(fdtrc(1, free, ratio)) <= _TREND else 0.0

@@ -68,7 +68,9 @@ LINE: Final = 'periodic_disturbance'
 _LINE: Final = 1e-4
 """Chance below which a line in the residual's spectrum is looked at with every sample."""
 _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
-"""Scatter of the trials that is tried where no push was repeated."""
+"""Scatter of the trials that is tried where no push was repeated, or few were."""
+_FEW_REPEATS: Final = 4
+"""Differences between repeats below which they may be alike by chance."""
 _WORSE: Final = 2
 """So many larger ones that are all less likely than a smaller one end the search."""
 _TOO_MUCH: Final = 0.05
@@ -210,7 +212,9 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        unrepeated = self._unrepeated(bench, base, chosen) if scatter is None else None
+        unrepeated = None
+        if scatter is None or scatter.degrees < _FEW_REPEATS:
+            unrepeated = self._unrepeated(bench, base, chosen, scatter)
         if unrepeated is not None:
             scattered = np.full(3, unrepeated)
             bench = plain.scattering(scattered)
@@ -306,9 +310,11 @@ class _Search:
         chosen, order = eliminate(bench, chosen, rounds)
         return chosen, rounds, order
 
-    def _unrepeated(self, bench: Workbench, base: Refit, chosen: Refit) -> float | None:
+    def _unrepeated(
+        self, bench: Workbench, base: Refit, chosen: Refit, scatter: Scatter | None
+    ) -> float | None:
         """
-        Return the scatter that trials without repeats ask for, if they do.
+        Return the scatter that trials with no or few repeats ask for, if they do.
 
         Scatter is a rival of every effect: it stands where it explains the trials clearly better
         beside the effects, or as well as they do in their place.
@@ -322,9 +328,10 @@ class _Search:
             size = self._scattering(bench, base, chosen.deviance + worth - own + LEAD)
         if size is None:
             return None
+        what = 'without repeats' if scatter is None else 'with so few repeats'
         self.warnings.append(
             f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
-            f'{100.0 * size:.2g} % from trial to trial: without repeats of the same push this '
+            f'{100.0 * size:.2g} % from trial to trial: {what} of the same push this '
             f'cannot be told from an effect'
         )
         return size
@@ -333,7 +340,10 @@ class _Search:
         """Return the scatter with which a model has its least deviance, if that is low enough."""
         best, size = below, None
         least, worse = near.deviance, 0
+        known = 0.0 if bench.scatter is None else float(bench.scatter.max())
         for each in _SCATTERS:
+            if each <= known:
+                continue
             refit = bench.scattering(np.full(3, each)).refit(near.model, near)
             if refit is None:
                 continue

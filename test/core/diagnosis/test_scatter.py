@@ -21,7 +21,13 @@ from functools import cache
 from typing import Any
 
 from hapticvision_ros.core.diagnosis.refit import Workbench
-from hapticvision_ros.core.diagnosis.scatter import conditions, LEAST, measure, Scatter
+from hapticvision_ros.core.diagnosis.scatter import (
+    _common,
+    conditions,
+    LEAST,
+    measure,
+    Scatter,
+)
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.core.segmentation import segment
@@ -168,3 +174,20 @@ def test_the_scatter_of_trials_that_tell_no_element_by_itself_is_measured() -> N
     assert scatter is not None
     assert scatter.degrees == 7
     np.testing.assert_allclose(scatter.std, 0.02, rtol=0.35)
+
+
+@pytest.mark.parametrize('slope', [0.0, 0.03])
+def test_the_limit_of_the_scatter_is_above_it_as_often_as_it_says(slope: float) -> None:
+    """Also where the trials tell only the size of the force, and where a trend is taken out."""
+    random, scatter, groups = np.random.default_rng(4), 0.02, [[0, 1, 2], [3, 4]]
+    size = np.full(3, 1.0 / np.sqrt(3.0))
+    noise = 1e-8 * np.outer(size, size) + 0.04 * (np.eye(3) - np.outer(size, size))
+    factor = np.linalg.cholesky(noise)
+    late = slope * np.arange(-2.0, 3.0)
+    above = []
+    for _ in range(100):
+        shifts = scatter * random.standard_normal((5, 3))
+        shifts += random.standard_normal((5, 3)) @ factor.T + late[:, np.newaxis]
+        _, limit = _common(shifts, np.array([noise] * 5), late, groups)
+        above.append(limit >= scatter)
+    assert 0.65 < np.mean(above) < 0.85
