@@ -166,7 +166,7 @@ class Push:
         """Whether enough is expected of it."""
         if self.purpose == 'repeat':
             return True
-        # Of a push that differs as much is expected as of one that sharpens: it is the same one.
+        # Of a push that differs as much is asked as of one that sharpens: it has the gain of that.
         least = LEAST_SEPARATION if self.purpose == 'separate' else LEAST_SHARPENING
         return self.gain >= least
 
@@ -615,6 +615,13 @@ def look(
         raise UsageError('; '.join(warnings) or 'there is no trial to analyse.')
     reach = cell.reach()
     found = diagnose(analysed, progress=progress, workers=workers, limits=reach)
+    fits = found.before.trials
+    for each, fitted in zip(analysed, fits, strict=True):
+        if fitted is None:
+            # It tells nothing, and is no push that was made: another may be asked for.
+            warnings += [w for w in found.before.warnings if w.startswith(f'{each.trial.name}: ')]
+    analysed = [each for each, fitted in zip(analysed, fits, strict=True) if fitted is not None]
+    places = [place for place, fitted in zip(places, fits, strict=True) if fitted is not None]
     best = found.next_trial
     push = None
     if best is not None:
@@ -657,7 +664,9 @@ def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
     for hold in (reach.longest_hold, reach.longest_hold / SPREAD):
         for speed in (reach.slowest, reach.fastest, middle):
             away = min(
-                abs(math.log(speed / v)) + abs(math.log(hold / h)) if v and h else math.inf
+                abs(math.log(speed / v)) + abs(math.log(hold / h))
+                if v and h and h > 0.0
+                else math.inf
                 for v, h in made
             )
             if away > most:

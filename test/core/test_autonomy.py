@@ -367,3 +367,18 @@ def test_an_effect_that_the_grid_leaves_confounded_is_decided_by_the_pushes_that
     assert told.std is not None
     # An estimate is off by more than four standard errors once in ten thousand.
     assert abs(told.value - 0.12) < 4.0 * told.std < 0.04
+
+
+def test_a_push_whose_speed_the_encoders_do_not_tell_is_none_that_was_made() -> None:
+    noise = ForceNoise(0.015)
+    slow = Sensors(noise, 3e-5, force_rate=100.0, tool_rate=50.0, encoder_noise=5e-5)
+    pushes = (MadePush(0.004, 0.006, 2.0, 2.0), MadePush(0.03, 0.005, 2.0, 2.0))
+    campaign = Campaign(Body(1000.0, 900.0, 1600.0), pushes, slow, surface_scatter=1e-5)
+    trials = run(campaign, seed=3).trials
+    findings = look(trials, cell())
+    assert findings.trials == findings.kinds == 1
+    assert findings.repeat is not None
+    assert findings.repeat.push_speed == pytest.approx(0.004, rel=0.01)
+    (told,) = [w for w in findings.warnings if 'no model is fitted' in w]
+    assert told.startswith(f'{trials[1].name}: ')
+    assert look(trials[:1], cell()).parameters == findings.parameters

@@ -414,7 +414,7 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
     Returns
     -------
     tuple of Trialled
-        Those that would be accepted if the encoders showed how the arm stops.
+        Those that might be accepted if the encoders showed how the arm stops.
 
     """
     if resolved(bench):
