@@ -292,6 +292,8 @@ def study_shape(
 def _other_size(observed: Observation, size: tuple[float, float, float]) -> list[str]:
     """Return a warning where a block is clearly not as large as it was given."""
     body = observed.body
+    if not np.any(body.inside & body.seen):
+        return []
     # A few returns from beside an edge make no row of the block.
     rows = [body.inside.sum(axis=axis) for axis in (0, 1)]
     along, across = (np.count_nonzero(2 * one > one.max()) * body.cell for one in rows)
