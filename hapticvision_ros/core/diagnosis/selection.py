@@ -52,6 +52,8 @@ _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _QUICK_GATE: Final = 20.0
 """Gain, and lead, of what draws jumps out over less than a sample."""
+_BESIDE: Final = 2
+"""Samples before and after the start of the release that belong to it."""
 _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
 _QUICK_NEAR: Final = 0.75
@@ -91,6 +93,8 @@ class Trialled:
         Root mean square change of the prediction over the noise.
     refit : Refit or None
         The model with it; None where the promise was too small to look further.
+    release : float
+        What of the score the start of the release tells, if the effect is over within a sample.
 
     """
 
@@ -99,6 +103,7 @@ class Trialled:
     gain: float
     strength: float
     refit: Refit | None
+    release: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,8 +254,7 @@ def try_all(
         refit = bench.refit(model, without)
         if refit is None:
             return Trialled(name, 0.0, -worth, 0.0, None)
-        score = max(without.deviance - refit.deviance, 0.0)
-        return Trialled(name, score, score - worth, strength(bench, refit, without), refit)
+        return _trialled(bench, without, name, refit)
 
     with ThreadPoolExecutor(workers) as pool:
         promises = dict(zip(names, pool.map(look, names), strict=True))
@@ -279,9 +283,34 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     again = bench.refit(known.model, near)
     if again is None or again.deviance >= found.refit.deviance:
         return found
-    score = max(without.deviance - again.deviance, 0.0)
-    gain = score - price(bench, found.effect)
-    return Trialled(found.effect, score, gain, strength(bench, again, without), again)
+    return _trialled(bench, without, found.effect, again)
+
+
+def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Trialled:
+    """Return a candidate that was refitted."""
+    score = max(without.deviance - refit.deviance, 0.0)
+    gain = score - price(bench, effect)
+    release = 0.0
+    if gain > GATE and fleeting(bench, refit, effect):
+        release = _in_release(bench, without) - _in_release(bench, refit)
+    return Trialled(effect, score, gain, strength(bench, refit, without), refit, release)
+
+
+def _in_release(bench: Workbench, refit: Refit) -> float:
+    """Return the part of the deviance that is told while the tool starts back."""
+    total = 0.0
+    filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
+    for index, (trial, (white, _)) in enumerate(zip(bench.trials, filters, strict=True)):
+        if trial.t_release is None:
+            continue
+        stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
+        first = trial.t_release - _BESIDE * trial.interval
+        last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
+        inside = (trial.middle > first) & (trial.middle < last) & (white.weight > 0.0)
+        residual, _ = bench.residual(refit.problem, refit.state, index)
+        squares = white(residual[np.newaxis])[0] ** 2
+        total += float(np.sum(squares[inside] - 2.0 * np.log(white.weight[inside])))
+    return total
 
 
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
@@ -424,7 +453,9 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
 
 def _draws_out(bench: Workbench, each: Trialled, weakest: float) -> bool:
     """Return whether a candidate is seen to draw jumps out, over less than a sample."""
-    if each.refit is None or each.gain <= _QUICK_GATE or each.strength <= weakest:
+    # How the tool starts back within a sample decides when it leaves, which no step shows.
+    gain = each.gain - max(each.release, 0.0)
+    if each.refit is None or gain <= _QUICK_GATE or each.strength <= weakest:
         return False
     # What is over at once only changes what a jump is said to be.
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0

@@ -22,6 +22,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
+    _in_release,
     _near,
     fleeting,
     resolved,
@@ -29,6 +30,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     select,
     Trialled,
 )
+import numpy as np
 import pytest
 
 
@@ -79,6 +81,28 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [general], 0.0) == [general]
     strong = replace(weak, strength=0.2)
     assert _good(bench, [strong, general], 0.0) == [strong, general]
+    # Nor is what the start of the release alone tells, in which a sample is too long.
+    assert _good(bench, [replace(strong, release=210.0)], 0.0) == []
+
+
+def test_what_the_release_tells_is_a_part_of_the_deviance(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    whole = base.cost + base.problem.log_determinant
+    assert 0.0 < abs(_in_release(bench, base)) < 0.2 * abs(whole)
+    late = [replace(trial, t_release=trial.t[0]) for trial in bench.trials]
+    ends = [replace(trial.path.bends[-1], duration=1e6) for trial in bench.trials]
+    late = [
+        replace(trial, path=replace(trial.path, bends=(end,)))
+        for trial, end in zip(late, ends, strict=True)
+    ]
+    # A release that lasts for the whole trial tells all of what the force tells.
+    force = _in_release(Workbench(late, None, bench.memory), base)
+    forces = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
+    told = 0.0
+    for index, (white, _) in enumerate(forces):
+        residual, _ = bench.residual(base.problem, base.state, index)
+        told += float(np.sum(white(residual[np.newaxis])[0] ** 2)) + white.log_determinant
+    assert force == pytest.approx(told, rel=1e-9)
 
 
 def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any) -> None:
