@@ -293,7 +293,7 @@ class Model:
 
     def _draft(self, trial: DrivenTrial, values: Sequence[complex]) -> Draft:
         """Return the chain for all p + q values."""
-        draft = Draft(neutral().astype(np.complex128))
+        draft = Draft(_NEUTRAL.copy())
         draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
         draft.slots[Slot.REFERENCE_DEPTH] = trial.reference_depth
         draft.slots[Slot.OFFSET] = values[len(self.parameters)]
@@ -321,6 +321,11 @@ class Model:
                 zeros = np.zeros(len(kept))
                 tangents.append(Chain(np.zeros(len(Slot)), zeros, zeros))
                 continue
+            if row == len(self.parameters):
+                # The onset is added to, and nothing is made of it.
+                zeros = np.zeros(len(kept))
+                tangents.append(Chain(_PLAIN[-1].slots, zeros, zeros))
+                continue
             step = _COMPLEX_STEP * (abs(value) or 1.0)
             given[row] = complex(value, step)
             tangents.append(_numbers(self._draft(trial, given), kept, step))
@@ -328,6 +333,7 @@ class Model:
         return chain, tuple(tangents)
 
 
+_NEUTRAL: Final = neutral().astype(np.complex128)
 _NO_UNITS: Final = np.zeros(0)
 _PLAIN: Final = tuple(
     Chain(np.eye(len(Slot))[slot], _NO_UNITS, _NO_UNITS)

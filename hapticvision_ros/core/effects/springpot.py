@@ -45,6 +45,7 @@ REFERENCE_TIME: Final = 10.0
 _STEP: Final = 1.25
 _NODES: Final = _STEP * np.arange(-8, 8)
 """ln of the inverse retardation times of the units [ln(1/s)]."""
+_TIMES: Final = np.exp(-_NODES)
 _SMALLEST: Final = 1e-12
 """Distance from alpha = 1, where the units would be infinitely stiff."""
 
@@ -59,9 +60,8 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     below, above = _NODES[0] - _STEP, _NODES[-1] + _STEP
     flow = share * np.exp(left * below) / -np.expm1(-left * _STEP)
     jump = share * np.exp(-alpha * above) / -np.expm1(-alpha * _STEP)
-    for x in _NODES:
-        stiffness = viscosity * np.exp(alpha * x) / share
-        draft.units.append((stiffness, stiffness * np.exp(-x)))
+    stiffness = viscosity / share * np.exp(alpha * _NODES)
+    draft.units += zip(stiffness.tolist(), (stiffness * _TIMES).tolist(), strict=True)
     draft.slots[Slot.C2] = viscosity / flow
     draft.add(Slot.SERIES_COMPLIANCE, jump / viscosity)
 
