@@ -331,7 +331,7 @@ def _whiten(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-d
 
 @kernel(fastmath={'reassoc', 'contract'})
 def _products(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
-    """Add up the products of the whitened rows, two by two, in the upper half of `out`."""
+    """Add up the products of the whitened rows, two by two."""
     count = rows.shape[0]
     state = np.zeros(count)
     # As many blocks at a time as stay near: then the products go side by side.
@@ -353,6 +353,9 @@ def _products(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped
                 for i in range(size):
                     total += white[j, i] * white[k, i]
                 out[j, k] += total
+    for j in range(count):
+        for k in range(j):
+            out[j, k] = out[k, j]
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,7 +376,7 @@ class Whitener:
         return out
 
     def products(self, rows: FloatArray) -> FloatArray:
-        """Return the products of the whitened rows, shape (k, k), upper half."""
+        """Return the products of the whitened rows, shape (k, k)."""
         products = np.zeros((rows.shape[0],) * 2)
         if self.seen.ndim == 1:
             _products(self.seen, self.passed, self.gain, self.weight, rows, products)
@@ -618,7 +621,6 @@ def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
         gradient[place] += products[:-1, -1]
         squares += float(products[-1, -1])
         log_determinant += filter_.log_determinant
-    normal = np.triu(normal) + np.triu(normal, 1).T
     scale = np.sqrt(np.diag(normal))
     seen = scale > 0.0
     scale = scale[seen]
