@@ -71,6 +71,11 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     """
     Put step means through a first-order lag that starts at rest with the first of them.
 
+    A lag that is short beside the steps asks for where the signal is at their ends. An end is on
+    the line through two means before it or through two after it, whichever is less steep, so that
+    a jump within a step is not drawn into the next. Between its ends a step jumps when its mean
+    says; where the mean is not between its ends it is constant.
+
     Parameters
     ----------
     t : ndarray, shape (n + 1,)
@@ -78,7 +83,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     time_constant : float
         Of the lag [s]; zero for none.
     value : ndarray, shape (n,)
-        Mean of the signal over each step, taken as constant in it; replaced by that of the lag.
+        Mean of the signal over each step; replaced by that of the lag.
     d_value : ndarray, shape (p, n)
         Its tangents; replaced too.
     row : int
@@ -86,43 +91,84 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
 
     """
     rows = d_value.shape[0]
+    last = value.size - 1
     state = value[0]
+    start = value[0]
+    # The mean before, as it was.
+    old = value[0]
     d_state = d_value[:, 0].copy()
+    d_start = d_value[:, 0].copy()
+    d_old = d_value[:, 0].copy()
     known = -1.0
     kept = 0.0
-    lost = 1.0
-    mean = 0.0
     d_kept = 0.0
-    d_mean = 0.0
-    for i in range(value.size):
+    pace = np.inf
+    share = 0.0
+    for i in range(last + 1):
         h = t[i + 1] - t[i]
         if abs(h - known) > _SAME * h:
             known = h
+            share = time_constant / h
             if time_constant > 0.0:
-                s = h / time_constant
-                kept = np.exp(-s)
-                lost = -np.expm1(-s)
-                mean = lost / s
-                d_kept = kept * s / time_constant
-                d_mean = (lost - s * kept) / h
-            else:
-                kept = 0.0
-                lost = 1.0
-                mean = 0.0
-                d_kept = 0.0
-                d_mean = 1.0 / h
-        # Over the step the state falls back from `away` to `kept` of it, and to `mean` on average.
-        away = state - value[i]
+                pace = 1.0 / share
+                kept = np.exp(-pace)
+                d_kept = kept * pace / time_constant
+        mean = value[i]
+        weight = 0.0
+        rise = np.inf
+        if i > 0:
+            weight = h / (t[i + 1] - t[i - 1])
+            rise = abs(mean - old) / (t[i + 1] - t[i - 1])
+        end = mean + weight * (mean - old)
+        forward = False
+        ahead = 0.0
+        if i + 2 <= last and rise > 0.0:
+            further = t[i + 3] - t[i + 1]
+            if abs(value[i + 2] - value[i + 1]) < rise * further:
+                forward = True
+                ahead = (t[i + 2] - t[i + 1]) / further
+                end = value[i + 1] - ahead * (value[i + 2] - value[i + 1])
+        jump = end - start
+        jumps = jump * (end - mean) > 0.0 and jump * (mean - start) > 0.0
+        # What is left at the end of where the signal was, and of the jump in between.
+        fading = 0.0
+        part = 0.0
+        if jumps:
+            part = (end - mean) / jump
+            if time_constant > 0.0:
+                fading = np.exp(-(1.0 - part) * pace)
+            after = end - jump * fading + kept * (state - start)
+        else:
+            after = mean + kept * (state - mean)
         for j in range(rows):
-            d_away = d_state[j] - d_value[j, i]
-            d_state[j] = d_value[j, i] + kept * d_away
-            d_value[j, i] += mean * d_away
-        if row >= 0:
-            d_state[row] += d_kept * away
-            d_value[row, i] += d_mean * away
-        # Written so that one product and one sum wait for each other from step to step.
-        state = kept * state + lost * value[i]
-        value[i] += mean * away
+            d_mean = d_value[j, i]
+            d_end = d_mean + weight * (d_mean - d_old[j])
+            if forward:
+                d_next = d_value[j, i + 1]
+                d_end = d_next - ahead * (d_value[j, i + 2] - d_next)
+            if jumps:
+                d_jump = d_end - d_start[j]
+                d_after = d_end - fading * d_jump + kept * (d_state[j] - d_start[j])
+                if fading > 0.0:
+                    d_after -= fading * pace * (d_end - d_mean - part * d_jump)
+                if j == row and fading > 0.0:
+                    d_after -= jump * fading * (1.0 - part) * pace / time_constant
+                if j == row:
+                    d_after += d_kept * (state - start)
+            else:
+                d_after = d_mean + kept * (d_state[j] - d_mean)
+                if j == row:
+                    d_after += d_kept * (state - mean)
+            d_value[j, i] = d_mean - share * (d_after - d_state[j])
+            if j == row:
+                d_value[j, i] -= (after - state) / h
+            d_old[j] = d_mean
+            d_start[j] = d_end
+            d_state[j] = d_after
+        value[i] = mean - share * (after - state)
+        old = mean
+        start = end
+        state = after
 
 
 @kernel(error_model='numpy')

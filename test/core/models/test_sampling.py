@@ -14,9 +14,10 @@
 
 """What a load cell averages of a hum, against the integral of the sine."""
 
-from hapticvision_ros.core.models.sampling import hum
+from hapticvision_ros.core.models.sampling import hum, lag
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 AMPLITUDE, FREQUENCY, PHASE = 0.5, 50.3, 0.4
 
@@ -53,3 +54,20 @@ def test_a_hum_without_derivatives_is_the_same() -> None:
     hum(t, AMPLITUDE, FREQUENCY, PHASE, values[0], np.zeros((3, t.size - 1)), 0, 1, 2)
     hum(t, AMPLITUDE, FREQUENCY, PHASE, values[1], np.zeros((0, t.size - 1)), -1, -1, -1)
     assert np.array_equal(*values)
+
+
+@pytest.mark.parametrize('at', [0.1, 0.5, 0.9])
+@pytest.mark.parametrize('time_constant', [0.05, 0.3, 2.0, 20.0])
+def test_a_lag_is_that_of_the_signal_and_not_of_its_means(at: float, time_constant: float) -> None:
+    """A jump to a decay anywhere within a step of 1 s, and back; the lag is integrated finely."""
+    fine, steps = 4000, 60
+    t = (np.arange(steps * fine) + 0.5) / fine
+    signal = np.where(t > 10.0 + at, 2.0 + np.exp(-(t - 10.0 - at) / 20.0), 0.0)
+    signal = np.where(t > 40.0 + at, 0.1 * (t - 50.0), signal)
+    kept = np.exp(-1.0 / (fine * time_constant))
+    lagged = lfilter([1.0 - kept], [1.0, -kept], signal)
+    exact = lagged.reshape(steps, fine).mean(axis=1)
+    value = signal.reshape(steps, fine).mean(axis=1)
+    lag(np.arange(steps + 1.0), time_constant, value, np.zeros((0, steps)), -1)
+    # A lag of the means is off by up to a quarter of the jump for the longest of a sample.
+    assert np.abs(value - exact).max() < 0.02
