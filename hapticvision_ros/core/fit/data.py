@@ -317,7 +317,9 @@ class FitTrial:
     def head(self, steps: int) -> 'FitTrial':
         """Return the first steps of the trial, and one for the rest; with the force alone."""
         # What counts from the middle of the trial, as the phase of a hum, stays what it is.
-        ends = np.append(np.arange(steps + 1), self.t.size - 1)
+        last = self.t.size - 1
+        steps = min(steps, last - 1)
+        ends = np.append(np.arange(steps + 1), last)
         return replace(
             self,
             t=self.t[ends],

@@ -124,6 +124,7 @@ def test_steps_hold_every_sample_once_and_are_short_near_events() -> None:
     assert head.t[-1] == made.t[-1] and head.t.size == head.displacement.size == 52
     assert np.array_equal(head.force[:50], made.force[:50])
     assert head.force_count[50] == 0.0 and head.height.size == head.height_t.size == 0
+    assert np.array_equal(made.head(made.force.size).t, made.t)
 
 
 def test_a_glitch_is_left_out_of_its_step() -> None:
