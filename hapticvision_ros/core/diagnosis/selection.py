@@ -37,6 +37,7 @@ from typing import Final
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -93,8 +94,9 @@ class Trialled:
         Root mean square change of the prediction over the noise.
     refit : Refit or None
         The model with it; None where the promise was too small to look further.
-    release : float
-        What of the score the start of the release tells, if the effect is over within a sample.
+    release, stop : float
+        What of the score the start of the release tells, and the stops that the encoders do not
+        show, if the effect is over within a sample.
 
     """
 
@@ -104,6 +106,7 @@ class Trialled:
     strength: float
     refit: Refit | None
     release: float = 0.0
+    stop: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +186,13 @@ def resolved(bench: Workbench) -> bool:
     How it slows down in the air, and a withdrawal, which is quicker as a rule and shows less in
     the force, tell nothing of that.
     """
+    return any(map(_shown, bench.trials))
+
+
+def _shown(trial: FitTrial) -> bool:
+    """Return whether the encoders show how the arm stops after the push of a trial."""
     return any(
         bend.duration > _RESOLVED * trial.path.interval
-        for trial in bench.trials
         for bend in trial.path.bends
         if bend.t > trial.t_contact and (trial.t_release is None or bend.stop < trial.t_release)
     )
@@ -290,27 +297,38 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
     """Return a candidate that was refitted."""
     score = max(without.deviance - refit.deviance, 0.0)
     gain = score - price(bench, effect)
-    release = 0.0
+    release = stop = 0.0
     if gain > GATE and fleeting(bench, refit, effect):
-        release = _in_release(bench, without) - _in_release(bench, refit)
-    return Trialled(effect, score, gain, strength(bench, refit, without), refit, release)
+        parts = np.subtract(_unseen(bench, without), _unseen(bench, refit)).tolist()
+        release, stop = (max(part, 0.0) for part in parts)
+    return Trialled(effect, score, gain, strength(bench, refit, without), refit, release, stop)
 
 
-def _in_release(bench: Workbench, refit: Refit) -> float:
-    """Return the part of the deviance that is told while the tool starts back."""
-    total = 0.0
+def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
+    """
+    Return the parts of the deviance that are told where the arm's motion is not seen well enough.
+
+    The first is the start of the releases, where the way within a sample decides when the tool
+    leaves; the second the stops that the encoders do not show.
+    """
+    release = stop = 0.0
     filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
     for index, (trial, (white, _)) in enumerate(zip(bench.trials, filters, strict=True)):
-        if trial.t_release is None:
-            continue
-        stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
-        first = trial.t_release - _BESIDE * trial.interval
-        last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
-        inside = (trial.middle > first) & (trial.middle < last) & (white.weight > 0.0)
         residual, _ = bench.residual(refit.problem, refit.state, index)
-        squares = white(residual[np.newaxis])[0] ** 2
-        total += float(np.sum(squares[inside] - 2.0 * np.log(white.weight[inside])))
-    return total
+        told = white.weight > 0.0
+        parts = np.zeros(told.size)
+        parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
+        parts[told] -= 2.0 * np.log(white.weight[told])
+        if trial.t_release is not None:
+            stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
+            first = trial.t_release - _BESIDE * trial.interval
+            last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
+            release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
+        if not _shown(trial):
+            at = trial.t[trial.pushed[0].stop]
+            near = np.abs(trial.middle - at) < _RESOLVED * trial.path.interval
+            stop += float(parts[near].sum())
+    return release, stop
 
 
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
@@ -412,7 +430,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
-        if not shown or not _draws_out(bench, each, weakest):
+        if not shown or not _draws_out(bench, each, weakest, each.gain - each.stop):
             return False
         # What a simpler one tells as well is not there where that one is refused.
         simpler = [e for e in tried if e.effect in BY_NAME[each.effect].generalises]
@@ -446,16 +464,18 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
         Those that might be accepted if the encoders showed how the arm stops.
 
     """
-    if resolved(bench):
-        return ()
-    return tuple(each for each in tried if _draws_out(bench, each, WEAKEST))
+    shown = resolved(bench)
+    return tuple(
+        each
+        for each in tried
+        if _draws_out(bench, each, WEAKEST, each.gain)
+        and not (shown and _draws_out(bench, each, WEAKEST, each.gain - each.stop))
+    )
 
 
-def _draws_out(bench: Workbench, each: Trialled, weakest: float) -> bool:
+def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) -> bool:
     """Return whether a candidate is seen to draw jumps out, over less than a sample."""
-    # How the tool starts back within a sample decides when it leaves, which no step shows.
-    gain = each.gain - max(each.release, 0.0)
-    if each.refit is None or gain <= _QUICK_GATE or each.strength <= weakest:
+    if each.refit is None or gain - each.release <= _QUICK_GATE or each.strength <= weakest:
         return False
     # What is over at once only changes what a jump is said to be.
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0

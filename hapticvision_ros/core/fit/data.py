@@ -508,7 +508,8 @@ def _prepare(
         zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
         interval=interval,
         height_interval=height_interval,
-        onset_std=_onset_std(force, path, touch, interval),
+        # The record of the force may have a gap where the tool touched.
+        onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std or 0.0),
         has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
         has_height_zero=int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,

@@ -22,8 +22,9 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
-    _in_release,
     _near,
+    _unseen,
+    drawn_out,
     fleeting,
     resolved,
     seldom,
@@ -83,26 +84,33 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [strong, general], 0.0) == [strong, general]
     # Nor is what the start of the release alone tells, in which a sample is too long.
     assert _good(bench, [replace(strong, release=210.0)], 0.0) == []
+    assert drawn_out(bench, [replace(strong, release=210.0)]) == ()
+    # What stops tell that the encoders do not show is said and not taken.
+    unseen = replace(strong, stop=210.0)
+    assert _good(bench, [unseen], 0.0) == []
+    assert drawn_out(bench, [unseen]) == (unseen,)
+    assert drawn_out(bench, [strong]) == ()
 
 
-def test_what_the_release_tells_is_a_part_of_the_deviance(world: Any) -> None:
+def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
-    whole = base.cost + base.problem.log_determinant
-    assert 0.0 < abs(_in_release(bench, base)) < 0.2 * abs(whole)
-    late = [replace(trial, t_release=trial.t[0]) for trial in bench.trials]
+    release, stop = _unseen(bench, base)
+    # The encoders show the stop of the quick push, and not that of the slow one.
+    assert len([t for t in bench.trials if resolved(Workbench([t], None, bench.memory))]) == 1
+    assert release != 0.0 and stop != 0.0
     ends = [replace(trial.path.bends[-1], duration=1e6) for trial in bench.trials]
     late = [
-        replace(trial, path=replace(trial.path, bends=(end,)))
-        for trial, end in zip(late, ends, strict=True)
+        replace(trial, t_release=trial.t[0], path=replace(trial.path, bends=(end,)))
+        for trial, end in zip(bench.trials, ends, strict=True)
     ]
     # A release that lasts for the whole trial tells all of what the force tells.
-    force = _in_release(Workbench(late, None, bench.memory), base)
-    forces = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
+    release, _ = _unseen(Workbench(late, None, bench.memory), base)
     told = 0.0
-    for index, (white, _) in enumerate(forces):
+    filters = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
+    for index, (white, _) in enumerate(filters):
         residual, _ = bench.residual(base.problem, base.state, index)
         told += float(np.sum(white(residual[np.newaxis])[0] ** 2)) + white.log_determinant
-    assert force == pytest.approx(told, rel=1e-9)
+    assert release == pytest.approx(told, rel=1e-9)
 
 
 def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any) -> None:
