@@ -64,6 +64,8 @@ _BURST: Final = 10
 """Samples that may be stamped late together."""
 _SILENT: Final = 3.5
 """Usual intervals of the encoders without a sample that are a gap."""
+_MOST_MISSING: Final = 10_000
+"""Steps of a gap at most."""
 _BESIDE: Final = 4
 """Samples beside a gap that tell the tool's way into it."""
 _UNSEEN: Final = 0.02
@@ -109,13 +111,16 @@ class Samples:
     force : ndarray, shape (n,)
         Measured force without the load cell's zero [N].
     good : ndarray of bool, shape (n,)
-        False where a sample is set aside as a glitch.
+        False where a sample is set aside as a glitch, or missing.
+    missing : ndarray of bool, shape (n,), optional
+        True where a gap of the record has a step without a sample.
 
     """
 
     edges: FloatArray
     force: FloatArray
     good: NDArray[np.bool_]
+    missing: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +304,10 @@ class FitTrial:
     @property
     def set_aside(self) -> FloatArray:
         """Return the times of the force samples that are not used [s]."""
-        bad = np.flatnonzero(~self.samples.good)
+        samples = self.samples
+        bad = np.flatnonzero(
+            ~samples.good if samples.missing is None else ~samples.good & ~samples.missing
+        )
         return 0.5 * (self.samples.edges[bad] + self.samples.edges[bad + 1])
 
     @cached_property
@@ -484,6 +492,8 @@ def _prepare(
     eventful = near_events(force.t, phases, interval)
     bad = suspects(force.value) & ~eventful
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
+    samples, eventful = _with_gaps(samples, force.t, interval, eventful)
+    edges = samples.edges
     baseline = int(np.searchsorted(force.t, touch))
     record = trial.displacement_height if trial.displacement_source != 'tool' else None
     height_interval = 1.0
@@ -523,6 +533,37 @@ def _prepare(
         events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
+
+
+def _with_gaps(
+    samples: Samples, t: FloatArray, interval: float, eventful: NDArray[np.bool_]
+) -> tuple[Samples, NDArray[np.bool_]]:
+    """Return the samples with steps of their own in each gap, and what is eventful of all."""
+    steps = np.diff(t)
+    beside = np.full(steps.size, interval)
+    beside[1:] = np.maximum(beside[1:], steps[:-1])
+    beside[:-1] = np.maximum(beside[:-1], steps[1:])
+    # Where a record is sparse for long, each sample stands for its surroundings.
+    gaps = np.flatnonzero(steps > _SILENT * beside)
+    if gaps.size == 0:
+        return samples, eventful
+    edges, places, forces = [np.delete(samples.edges, gaps + 1)], list[int](), list[float]()
+    for gap in gaps.tolist():
+        count = min(round(float(steps[gap]) / interval) - 1, _MOST_MISSING)
+        inside = (t[gap] + 0.5 * interval, t[gap + 1] - 0.5 * interval)
+        edges.append(np.linspace(*inside, count + 1))
+        places += [gap + 1] * count
+        ends = samples.force[gap], samples.force[gap + 1]
+        forces += np.linspace(*ends, count + 2)[1:-1].tolist()
+    return (
+        Samples(
+            np.sort(np.concatenate(edges)),
+            np.insert(samples.force, places, forces),
+            np.insert(samples.good, places, False),
+            np.insert(np.zeros(t.size, dtype=np.bool_), places, True),
+        ),
+        np.insert(eventful, places, False),
+    )
 
 
 def _steps(

@@ -300,3 +300,26 @@ def test_a_record_that_is_sparse_in_the_hold_has_no_gap() -> None:
     made, told = prepare([(whole, PHASES), (sparse, PHASES), (straight, PHASES)])
     assert None not in made
     assert told == ()
+
+
+def test_a_gap_of_the_force_has_steps_without_samples() -> None:
+    """No sample stands for what it has not seen, and none is told to be set aside."""
+    whole = _trial()
+    t, value = whole.force.t, whole.force.value
+    kept = (t < 0.90) | (t > 1.15)
+    (made,), told = prepare([(replace(whole, force=Signal(t[kept], value[kept])), PHASES)])
+    assert told == ()
+    assert made.set_aside.size == 0
+    assert made.force_count.sum() == np.count_nonzero(kept)
+    assert made.full_rate.force_count.sum() == np.count_nonzero(kept)
+    assert np.all(np.diff(made.full_rate.t) > 0.0)
+    seen = made.full_rate.force_count > 0.0
+    lengths = np.diff(made.full_rate.t)
+    assert lengths[seen].max() < 1.6e-3
+    inside = (made.full_rate.middle > 0.901) & (made.full_rate.middle < 1.149)
+    assert not np.any(seen & inside)
+    assert lengths.max() < 2e-3
+    # The touch is somewhere in the gap.
+    unsure = replace(PHASES, contact_height_std=3e-4)
+    (made,), _ = prepare([(replace(whole, force=Signal(t[kept], value[kept])), unsure)])
+    assert made.onset_std >= 3e-4
