@@ -100,6 +100,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     d_start = d_value[:, 0].copy()
     d_old = d_value[:, 0].copy()
     known = -1.0
+    before = 0.0
     kept = 0.0
     d_kept = 0.0
     pace = np.inf
@@ -114,20 +115,22 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
                 kept = np.exp(-pace)
                 d_kept = kept * pace / time_constant
         mean = value[i]
+        # The share of a step in itself and its neighbour; a half almost everywhere.
         weight = 0.0
-        rise = np.inf
         if i > 0:
-            weight = h / (t[i + 1] - t[i - 1])
-            rise = abs(mean - old) / (t[i + 1] - t[i - 1])
+            weight = 0.5 if abs(h - before) <= _SAME * h else h / (h + before)
         end = mean + weight * (mean - old)
         forward = False
         ahead = 0.0
-        if i + 2 <= last and rise > 0.0:
+        if i + 2 <= last:
             further = t[i + 3] - t[i + 1]
-            if abs(value[i + 2] - value[i + 1]) < rise * further:
+            step = value[i + 2] - value[i + 1]
+            if i == 0 or abs(step) * (h + before) < abs(mean - old) * further:
                 forward = True
-                ahead = (t[i + 2] - t[i + 1]) / further
-                end = value[i + 1] - ahead * (value[i + 2] - value[i + 1])
+                ahead = t[i + 2] - t[i + 1]
+                ahead = 0.5 if abs(2.0 * ahead - further) <= _SAME * ahead else ahead / further
+                end = value[i + 1] - ahead * step
+        before = h
         jump = end - start
         jumps = jump * (end - mean) > 0.0 and jump * (mean - start) > 0.0
         # What is left at the end of where the signal was, and of the jump in between.
