@@ -315,15 +315,14 @@ class Model:
         kept = [i for i, (stiffness, _) in enumerate(draft.units) if math.isfinite(stiffness.real)]
         chain = _numbers(draft, kept)
         tangents = []
+        zeros = np.zeros(len(kept))
         for row in rows:
             value = values[row]
             if not math.isfinite(value):
-                zeros = np.zeros(len(kept))
                 tangents.append(Chain(np.zeros(len(Slot)), zeros, zeros))
                 continue
             if row == len(self.parameters):
                 # The onset is added to, and nothing is made of it.
-                zeros = np.zeros(len(kept))
                 tangents.append(Chain(_PLAIN[-1].slots, zeros, zeros))
                 continue
             step = _COMPLEX_STEP * (abs(value) or 1.0)

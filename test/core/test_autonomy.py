@@ -158,6 +158,12 @@ def test_the_push_least_like_those_made_repeats_none_until_all_are_made() -> Non
     assert others == [(0.00133, 6.0), (0.004, 6.0), (0.00133, 2.0), (0.0023, 6.0), (0.0023, 2.0)]
 
 
+def test_a_push_without_a_hold_is_like_no_other() -> None:
+    phases = SimpleNamespace(push_speed=0.004, hold_time=-0.01)
+    trials: Any = [SimpleNamespace(segmentation=phases)]
+    assert _other(trials, cell().reach()) is None
+
+
 def test_a_push_that_separates_tests_the_effect_that_led_before_it() -> None:
     led = found(sets=(('a', 'b'),), trials=3)
     assert decision(found(), before=led).ending is Ending.DECIDED

@@ -105,7 +105,7 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
         full = trial.full_rate
         prediction = problem.predict(found.state, index, full, directions=False)
         _, force_zero, height_zero = problem.own(found.state, index)
-        t = 0.5 * (full.t[1:] + full.t[:-1])
+        t = full.middle
         good = calm(full, prediction.force, found.force_noise) & ~_turning(full, t)
         push, error = full.pushed
         if error * float(np.abs(prediction.force[push]).max(initial=0.0)) > (

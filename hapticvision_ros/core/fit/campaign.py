@@ -576,11 +576,10 @@ class Problem:
 
     def unsure(self, state: FloatArray, blur: float = 1.0) -> tuple[FloatArray, ...]:
         """Return the same with what the speed of the push is not known by [N^2]."""
-        variances = []
-        for i, trial in enumerate(self.trials):
-            force = self.predict(state, i, directions=False).force
-            variances.append(_add_speed(_jumps(force, trial, blur), force, trial))
-        return tuple(variances)
+        return tuple(
+            _unsure(self.predict(state, i, directions=False).force, trial, blur)
+            for i, trial in enumerate(self.trials)
+        )
 
     def sharpest(self, state: FloatArray, noise: SensorNoise, blur: float) -> float:
         """
@@ -612,7 +611,7 @@ class Problem:
             if place not in known:
                 known[place] = 0.0
                 for trial, force, residual in parts:
-                    jumps = _add_speed(_jumps(force, trial, _BLURS[place]), force, trial)
+                    jumps = _unsure(force, trial, _BLURS[place])
                     filter_ = whitener(force_blocks(trial, jumps), noise)
                     white = filter_(residual[np.newaxis])[0]
                     known[place] += float(white @ white) + filter_.log_determinant
@@ -699,8 +698,9 @@ def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     return variance
 
 
-def _add_speed(variance: FloatArray, force: FloatArray, trial: FitTrial) -> FloatArray:
-    """Return the variance with what the speed of the push is not known to add."""
+def _unsure(force: FloatArray, trial: FitTrial, blur: float) -> FloatArray:
+    """Return the same with what the speed of the push is not known by."""
+    variance = _jumps(force, trial, blur)
     push, error = trial.pushed
     if error > 0.0:
         # The error is one for the whole push: each step stands for as much as all tell together.

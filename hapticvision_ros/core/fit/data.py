@@ -519,7 +519,7 @@ def _prepare(
         interval=interval,
         height_interval=height_interval,
         # The record of the force may have a gap where the tool touched.
-        onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std or 0.0),
+        onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std),
         has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
         has_height_zero=int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,

@@ -463,11 +463,10 @@ def _predict_one(
     predicted = whole.predict(state, 0, directions=False)
     _, force_zero, height_zero = problem.own(state, 0)
     good = calm(full, predicted.force, noise.force)
-    middle = 0.5 * (full.t[1:] + full.t[:-1])
     std = np.sqrt(np.diag(solution.covariance()))
     return TrialFit(
         name=one.name,
-        force=Signal(middle[good], full.force[good] - force_zero),
+        force=Signal(full.middle[good], full.force[good] - force_zero),
         force_fitted=predicted.force[good],
         height=Signal(full.height_t, full.height - height_zero),
         height_fitted=predicted.height,

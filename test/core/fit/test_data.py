@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from hapticvision_ros.core.fit.data import prepare, suspects, tool_path
+from hapticvision_ros.core.fit.data import planned, prepare, suspects, tool_path
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 import pytest
@@ -272,6 +272,16 @@ def test_a_push_whose_speed_swamps_the_noise_of_its_force_is_left_out() -> None:
             assert 'its speed is known to' in told[0]
             share = float(told[0].split(' times the noise')[0].split()[-1])
             assert 1.0 < share < 200.0
+
+
+def test_a_planned_push_is_seen_by_the_same_encoders() -> None:
+    (made,), _ = prepare([(_trial(), PHASES)])
+    assert made is not None
+    push = planned(
+        made, push_speed=0.03, depth=0.006, hold_time=2.0, release=True, campaign_time=0.0
+    )
+    assert push.path.interval == made.path.interval
+    assert push.pushed[1] > made.pushed[1]
 
 
 def test_a_short_hold_leaves_both_changes_of_speed() -> None:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a load cell averages of a hum, against the integral of the sine."""
+"""What a load cell makes of a hum, and of what it follows late, against fine integration."""
 
 from hapticvision_ros.core.models.sampling import hum, lag
 import numpy as np
@@ -69,5 +69,5 @@ def test_a_lag_is_that_of_the_signal_and_not_of_its_means(at: float, time_consta
     exact = lagged.reshape(steps, fine).mean(axis=1)
     value = signal.reshape(steps, fine).mean(axis=1)
     lag(np.arange(steps + 1.0), time_constant, value, np.zeros((0, steps)), -1)
-    # A lag of the means is off by up to a quarter of the jump for the longest of a sample.
+    # A lag of the means themselves would be off by up to 0.31.
     assert np.abs(value - exact).max() < 0.02
