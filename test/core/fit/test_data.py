@@ -277,6 +277,7 @@ def test_a_push_whose_speed_swamps_the_noise_of_its_force_is_left_out() -> None:
 def test_a_planned_push_is_seen_by_the_same_encoders() -> None:
     (made,), _ = prepare([(_trial(), PHASES)])
     assert made is not None
+    made = replace(made, path=replace(made.path, noise=1e-5))
     push = planned(
         made, push_speed=0.03, depth=0.006, hold_time=2.0, release=True, campaign_time=0.0
     )
