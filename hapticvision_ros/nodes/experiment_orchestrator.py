@@ -998,14 +998,18 @@ class ExperimentOrchestrator(CellNode):
         return Finding(Level.OK, 'A trial is being recorded.', values)
 
     def _report(self, experiment: Experiment, now: float) -> None:
-        """Publish status and result on change, and feedback at least once a period."""
+        """Publish status and result on change, feedback with each step and once a period."""
         changed = experiment.status is not self._status
         if changed:
             self._publish_status()
         if experiment.status.terminal:
             self._publish_feedback(experiment, now)
             self._publish_result(experiment)
-        elif changed or now - self._reported >= self.parameters.real('feedback_period'):
+        elif (
+            changed
+            or experiment.entered > self._reported
+            or now - self._reported >= self.parameters.real('feedback_period')
+        ):
             self._publish_feedback(experiment, now)
 
     def _goal_id(self) -> str:
