@@ -66,15 +66,45 @@ def sample(t, value, d_value, at, out, d_out, slope):  # type: ignore[no-untyped
             d_out[j, k] = d_value[j, i] + weight * (d_value[j, i + 1] - d_value[j, i])
 
 
-@kernel()
+@kernel(error_model='numpy')
+def _moments(pace, held, d_held):  # type: ignore[no-untyped-def]
+    """
+    Fill `held` with pace times the integral of exp(-pace (1 - x)) x^k over [0, 1], k = 0, 1, 2.
+
+    That is what a lag keeps of a power of time at the end of a step, which is `pace` of the lag's
+    time constants long; `d_held` is filled with the derivatives in `pace`.
+    """
+    if pace < 0.5:
+        # The recursion below would divide rounding by a short step's square.
+        for k in range(3):
+            term = 1.0 / (k + 1)
+            total = term
+            d_total = term
+            for j in range(1, 14):
+                term *= -pace / (k + j + 1)
+                total += term
+                d_total += (j + 1) * term
+            held[k] = pace * total
+            d_held[k] = d_total
+        return
+    kept = math.exp(-pace)
+    held[0] = 1.0 - kept
+    d_held[0] = kept
+    for k in range(1, 3):
+        held[k] = 1.0 - k * held[k - 1] / pace
+        d_held[k] = k * (held[k - 1] / pace - d_held[k - 1]) / pace
+
+
+@kernel(error_model='numpy', fastmath={'contract'})
 def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     """
     Put step means through a first-order lag that starts at rest with the first of them.
 
-    A lag that is short beside the steps asks for where the signal is at their ends. An end is on
-    the line through two means before it or through two after it, whichever is less steep, so that
-    a jump within a step is not drawn into the next. Between its ends a step jumps when its mean
-    says; where the mean is not between its ends it is constant.
+    A lag that is short beside the steps asks for what the signal is within them. The end of a step
+    is on the line through two means before it or through two after it, whichever is less steep, so
+    that a jump within a step is not drawn into the next. Between its ends a step is the parabola
+    with its mean; one that goes further than the two lines at its ends jumps when its mean says,
+    or is constant where the mean is not between its ends.
 
     Parameters
     ----------
@@ -94,17 +124,29 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
     last = value.size - 1
     state = value[0]
     start = value[0]
-    # The mean before, as it was.
+    # The mean before, as it was, and the line at the start of the step: half of what it rises by.
     old = value[0]
+    rise = 0.0
     d_state = d_value[:, 0].copy()
     d_start = d_value[:, 0].copy()
     d_old = d_value[:, 0].copy()
+    held = np.zeros(3)
+    d_held = np.zeros(3)
     known = -1.0
+    latest = -1.0
+    even = 0
     before = 0.0
     kept = 0.0
     d_kept = 0.0
     pace = np.inf
     share = 0.0
+    # Of the end of a parabola in the lag at its end: the weights of its start, its mean, its end.
+    of_start = 0.0
+    of_mean = 0.0
+    of_end = 1.0
+    d_of_start = 0.0
+    d_of_mean = 0.0
+    d_of_end = 0.0
     for i in range(last + 1):
         h = t[i + 1] - t[i]
         if abs(h - known) > _SAME * h:
@@ -112,44 +154,76 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
             share = time_constant / h
             if time_constant > 0.0:
                 pace = 1.0 / share
-                kept = np.exp(-pace)
-                d_kept = kept * pace / time_constant
+                kept = math.exp(-pace)
+                d_pace = -pace / time_constant
+                d_kept = -kept * d_pace
+                _moments(pace, held, d_held)
+                bulge = held[1] - held[2]
+                of_start = held[0] - held[1] - 3.0 * bulge
+                of_mean = 6.0 * bulge
+                of_end = held[1] - 3.0 * bulge
+                d_bulge = d_held[1] - d_held[2]
+                d_of_start = d_pace * (d_held[0] - d_held[1] - 3.0 * d_bulge)
+                d_of_mean = d_pace * 6.0 * d_bulge
+                d_of_end = d_pace * (d_held[1] - 3.0 * d_bulge)
+        # How many steps in a row are as long as the one before them, up to the next but one.
+        further = i + 2 <= last
+        if further:
+            length = t[i + 3] - t[i + 2]
+            even = even + 1 if abs(length - latest) <= _SAME * length else 0
+            latest = length
         mean = value[i]
-        # The share of a step in itself and its neighbour; a half almost everywhere.
-        weight = 0.0
-        if i > 0:
-            weight = 0.5 if abs(h - before) <= _SAME * h else h / (h + before)
-        end = mean + weight * (mean - old)
+        # The line through two means, by its half rise over a step: of the means before the end ...
+        weight = 0.5
+        ahead = 0.5
+        if even < 3:
+            weight = h / (h + before) if i > 0 else 0.0
+            ahead = (t[i + 2] - t[i + 1]) / (t[i + 3] - t[i + 1]) if further else 0.0
+        half = weight * (mean - old)
+        end = mean + half
+        # ... or of those after it.
         forward = False
-        ahead = 0.0
-        if i + 2 <= last:
-            further = t[i + 3] - t[i + 1]
-            step = value[i + 2] - value[i + 1]
-            if i == 0 or abs(step) * (h + before) < abs(mean - old) * further:
+        if further:
+            half_ahead = ahead * (value[i + 2] - value[i + 1])
+            if even < 3:
+                steeper = abs(half) * (t[i + 2] - t[i + 1]) > abs(half_ahead) * h
+            else:
+                steeper = abs(half) > abs(half_ahead)
+            if i == 0 or steeper:
                 forward = True
-                ahead = t[i + 2] - t[i + 1]
-                ahead = 0.5 if abs(2.0 * ahead - further) <= _SAME * ahead else ahead / further
-                end = value[i + 1] - ahead * step
+                half = half_ahead
+                end = value[i + 1] - half
         before = h
         jump = end - start
-        jumps = jump * (end - mean) > 0.0 and jump * (mean - start) > 0.0
+        smooth = abs(jump) <= 2.0 * (abs(rise) + abs(half))
         # What is left at the end of where the signal was, and of the jump in between.
+        jumps = False
         fading = 0.0
         part = 0.0
-        if jumps:
-            part = (end - mean) / jump
-            if time_constant > 0.0:
-                fading = np.exp(-(1.0 - part) * pace)
-            after = end - jump * fading + kept * (state - start)
+        if smooth:
+            after = kept * state + (of_start * start + of_mean * mean + of_end * end)
         else:
-            after = mean + kept * (state - mean)
+            jumps = jump * (end - mean) > 0.0 and jump * (mean - start) > 0.0
+            if jumps:
+                part = (end - mean) / jump
+                if time_constant > 0.0:
+                    fading = math.exp(-(1.0 - part) * pace)
+                after = end - jump * fading + kept * (state - start)
+            else:
+                after = mean + kept * (state - mean)
         for j in range(rows):
             d_mean = d_value[j, i]
             d_end = d_mean + weight * (d_mean - d_old[j])
             if forward:
                 d_next = d_value[j, i + 1]
                 d_end = d_next - ahead * (d_value[j, i + 2] - d_next)
-            if jumps:
+            if smooth:
+                d_after = kept * d_state[j]
+                d_after += of_start * d_start[j] + of_mean * d_mean + of_end * d_end
+                if j == row:
+                    d_after += d_kept * state
+                    d_after += d_of_start * start + d_of_mean * mean + d_of_end * end
+            elif jumps:
                 d_jump = d_end - d_start[j]
                 d_after = d_end - fading * d_jump + kept * (d_state[j] - d_start[j])
                 if fading > 0.0:
@@ -170,6 +244,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
             d_state[j] = d_after
         value[i] = mean - share * (after - state)
         old = mean
+        rise = half
         start = end
         state = after
 
