@@ -23,7 +23,7 @@ effect declares. The fit works with the vector theta, in which parameters that h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 import math
@@ -40,6 +40,7 @@ from hapticvision_ros.core.effects.declaration import (
 )
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -211,6 +212,7 @@ class Model:
         trial_values: Sequence[float] | FloatArray | None = None,
         *,
         directions: bool = True,
+        turns: Turns | None = None,
     ) -> Prediction:
         """
         Return what the sensors report of a trial.
@@ -225,6 +227,8 @@ class Model:
             The trial's own parameters; zeros by default.
         directions : bool, default True
             Whether to give the derivatives, in theta and in the trial's own parameters.
+        turns : Turns, optional
+            The steps of the trial, split where the tool changes its speed within them.
 
         Returns
         -------
@@ -232,6 +236,11 @@ class Model:
             Force, height and their derivatives.
 
         """
+        if turns is not None:
+            split = _Split.of(trial, turns)
+            return _together(
+                self.predict(split, theta, trial_values, directions=directions), turns
+            )
         p, q = len(self.parameters), len(self.trial_parameters)
         values = np.zeros(p + q)
         values[:p] = self.values(theta)
@@ -339,6 +348,41 @@ _PLAIN: Final = tuple(
     for slot in (Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET)
 )
 """What the parameters of a chain without effects, and the onset, are of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """A trial in split steps: see `DrivenTrial`."""
+
+    t: FloatArray
+    displacement: FloatArray
+    height_t: FloatArray
+    campaign_time: float
+    reference_depth: float
+    zero_time: float
+
+    @classmethod
+    def of(cls, trial: DrivenTrial, turns: Turns) -> '_Split':
+        """Return a trial in the split steps."""
+        return cls(
+            turns.t,
+            turns.displacement,
+            trial.height_t,
+            trial.campaign_time,
+            trial.reference_depth,
+            trial.zero_time,
+        )
+
+
+def _together(split: Prediction, turns: Turns) -> Prediction:
+    """Return a prediction in steps for one in split steps."""
+    return replace(
+        split,
+        force=turns.means(split.force[np.newaxis])[0],
+        d_force=turns.means(split.d_force),
+        surface=turns.at_ends(split.surface),
+        d_surface=turns.at_ends(split.d_surface),
+    )
 
 
 def _numbers(draft: Draft, kept: Sequence[int], step: float | None = None) -> Chain:

@@ -413,12 +413,10 @@ class Problem:
             last = first + self.scatter.size
             theta = theta.copy()
             theta[: self.scatter.size] += state[first:last]
-        return self.model.predict(
-            self.trials[index] if trial is None else trial,
-            theta,
-            self.own(state, index)[0],
-            directions=directions,
-        )
+        if trial is None:
+            trial = self.trials[index]
+        own = self.own(state, index)[0]
+        return self.model.predict(trial, theta, own, directions=directions, turns=trial.turns)
 
     def records(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
         """

@@ -32,6 +32,7 @@ from typing import Final
 
 from hapticvision_ros.core.fit.glitches import find_glitches, NORMAL_FROM_MAD
 from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,8 @@ _UNSURE: Final = 0.005
 _SWAMPED: Final = 1.0
 """Relative error of a push's speed, and what it makes in the force over the noise, from which on
 the way is not known: few samples of the encoders, whose corners are off as well."""
+_SHORTEST_PART: Final = 1e-3
+"""Intervals of the force that a part of a step is long at least."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
@@ -295,6 +298,21 @@ class FitTrial:
         if way <= 0.0 or seen < 1.0:
             return steps, 0.0
         return steps, math.sqrt(12.0 / seen) * self.path.noise / way
+
+    @cached_property
+    def turns(self) -> Turns | None:
+        """Return the steps, split where the tool changes its speed below the surface."""
+        t = np.unique(self.path.events)
+        displacement = self.path.at(t)
+        inner = (t > self.t[0]) & (t < self.t[-1]) & (displacement > 0.0)
+        t, displacement = t[inner], displacement[inner]
+        after = np.searchsorted(self.t, t)
+        away = np.minimum(self.t[after] - t, t - self.t[np.maximum(after - 1, 0)])
+        apart = np.diff(t, prepend=-np.inf)
+        kept = np.minimum(away, apart) > _SHORTEST_PART * self.interval
+        if not kept.any():
+            return None
+        return Turns.of(self.t, self.displacement, t[kept], displacement[kept])
 
     @property
     def peak_force(self) -> float:
