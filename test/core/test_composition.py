@@ -15,11 +15,13 @@
 """What a model is: names, bounds, the vector of the fit."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.three_element import respond, ThreeElement
+from hapticvision_ros.core.models.turns import Turns
 import numpy as np
 import pytest
 
@@ -108,3 +110,58 @@ def test_heights_before_and_after_the_trial_are_held(driven: Callable, scale: Sc
     height = Model().predict(trial, Model().first_guess(scale)).height
     assert height[0] == 0.0
     assert height[3] == pytest.approx(height[2], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ('effect', 'value', 'share'),
+    [
+        ('series_spring', 4e7, 0.02),
+        ('machine_compliance', 4e7, 0.02),
+        # Means tell it when the force jumps.
+        ('force_lag', 2e-3, 0.3),
+        ('second_retardation', None, 1.0),
+    ],
+)
+def test_a_turn_of_the_tool_within_a_step_is_answered_when_it_comes(
+    driven: Callable, scale: Scale, effect: str, value: float | None, share: float
+) -> None:
+    """Steps of 4 ms in which the tool starts and stops, beside a hundred times finer ones."""
+    knots = np.array([0.0, 0.4501, 1.4511, 2.2503])
+    depth = np.array([0.0, 0.0, 0.01, 0.01])
+    coarse, fine = np.linspace(0.0, 2.2, 551), np.linspace(0.0, 2.2, 55001)
+    heights = np.array([0.5, 1.449, 1.46])
+    # What the touch within a step makes is told without a turn, as far as it is.
+    late = coarse[1:] > 0.7
+    trial, resolved = (
+        replace(driven(), t=t, displacement=np.interp(t, knots, depth) - 1e-4, height_t=heights)
+        for t in (coarse, fine)
+    )
+    at, there = knots[1:3], depth[1:3] - 1e-4
+    turns = Turns.of(coarse, trial.displacement, at, there)
+    model = Model((effect,))
+    values = model.values(model.first_guess(scale))
+    if value is not None:
+        values[3] = value
+    theta = model.theta(values)
+    seen = model.predict(trial, theta, turns=turns)
+    blind = model.predict(trial, theta, directions=False)
+    exact = model.predict(resolved, theta)
+    force = exact.force.reshape(-1, 100).mean(axis=1)
+    off = np.abs(seen.force - force)[late].max()
+    assert off < 2e-4 * force.max()
+    assert off <= share * np.abs(blind.force - force)[late].max() + 1e-9
+    slopes = exact.d_force.reshape(len(model.names) + 1, -1, 100).mean(axis=2)
+    largest = np.abs(slopes).max(axis=1, keepdims=True) + 1e-300
+    assert np.abs((seen.d_force - slopes) / largest).max() < 5e-3
+    np.testing.assert_allclose(seen.height, exact.height, atol=1e-7)
+    np.testing.assert_allclose(seen.surface, exact.surface[::100], atol=1e-7)
+
+
+def test_several_turns_in_one_step_are_parts_of_it() -> None:
+    turns = Turns.of(np.arange(4.0), np.zeros(4), np.array([1.25, 1.5, 2.5]), np.ones(3))
+    assert turns.t.tolist() == [0.0, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0]
+    assert turns.displacement.tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0]
+    assert turns.ends.tolist() == [0, 1, 4, 6]
+    parts = np.array([[7.0, 4.0, 8.0, 10.0, 1.0, 3.0]])
+    assert turns.means(parts).tolist() == [[7.0, 8.0, 2.0]]
+    assert turns.at_ends(turns.t).tolist() == [0.0, 1.0, 2.0, 3.0]

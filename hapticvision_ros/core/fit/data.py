@@ -79,6 +79,8 @@ _SWAMPED: Final = 1.0
 the way is not known: few samples of the encoders, whose corners are off as well."""
 _SHORTEST_PART: Final = 1e-3
 """Intervals of the force that a part of a step is long at least."""
+_PARTS: Final = 4
+"""Straight parts of an interval of the force over which the tool changes its speed steadily."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
@@ -302,7 +304,9 @@ class FitTrial:
     @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
-        t = np.unique(self.path.events)
+        fine = self.interval / _PARTS
+        bent = [np.arange(bend.start, bend.stop, fine) for bend in self.path.bends]
+        t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
         inner = (t > self.t[0]) & (t < self.t[-1]) & (displacement > 0.0)
         t, displacement = t[inner], displacement[inner]

@@ -334,3 +334,34 @@ def test_a_gap_of_the_force_has_steps_without_samples() -> None:
     unsure = replace(PHASES, contact_height_std=3e-4)
     (made,), _ = prepare([(replace(whole, force=Signal(t[kept], value[kept])), unsure)])
     assert made.onset_std >= 3e-4
+
+
+def test_turns_of_the_tool_within_steps_are_known() -> None:
+    """A corner between two samples of the force, and encoders twice as dense as it."""
+    whole = _trial()
+    t, value = whole.force.t, whole.force.value
+    slow = replace(whole, force=Signal(t[::4], value[::4]))
+    (made,), _ = prepare([(slow, PHASES)])
+    assert made.turns is not None
+    added = np.delete(made.turns.t, made.turns.ends)
+    assert np.array_equal(made.turns.t[made.turns.ends], made.t)
+    np.testing.assert_allclose(made.turns.displacement, made.path.at(made.turns.t), atol=1e-12)
+    # Those of the push and of the hold; what the tool does in the air is nobody's matter.
+    assert np.min(np.abs(added - CORNERS[1])) < 1e-3
+    assert np.min(np.abs(added - CORNERS[2])) < 1e-3
+    assert np.all(made.path.at(added) > 0.0)
+
+
+def test_a_change_of_speed_within_few_steps_is_made_of_short_straight_parts() -> None:
+    t = np.arange(0.0, 20.0, 0.004)
+    speed = np.interp(t, [0.0, 2.990, 3.006], [0.003, 0.003, 0.0])
+    way = -0.003 + np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.004)))
+    noise = 2e-6 * np.random.default_rng(0).standard_normal(t.size)
+    trial = replace(_trial(), tool_height=Signal(t, 0.04 - way - noise))
+    trial = replace(trial, force=Signal(t, np.interp(t, trial.force.t, trial.force.value)))
+    (made,), _ = prepare([(trial, PHASES)])
+    (bend,) = [bend for bend in made.path.bends if 2.9 < bend.t < 3.1]
+    assert bend.duration > 0.008
+    assert made.turns is not None
+    inside = (made.turns.t > bend.start) & (made.turns.t < bend.stop)
+    assert np.diff(made.turns.t[inside]).max() < 1.1e-3
