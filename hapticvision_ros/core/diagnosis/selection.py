@@ -52,16 +52,15 @@ _TURNS: Final = 5.0
 _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _QUICK_GATE: Final = 20.0
-"""Gain, and lead, of what draws jumps out over less than a sample."""
+"""Gain of what draws jumps out over less than a sample."""
 _BESIDE: Final = 2
 """Samples before and after the start of the release that belong to it."""
 _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
-_QUICK_NEAR: Final = 0.75
-"""Part of the gain of what does so from which on another is like it, however low the noise is."""
 _BRIEF: Final = 3.0
-_BRIEF_NEAR: Final = 0.94
-"""The same of what is over within so many samples, where the models are exact to a few percent."""
+_BRIEF_NEAR: Final = 0.98
+"""Part of the gain of what is over within so many samples from which on another is like it, however
+low the noise is: how the tool went within a sample is not known."""
 CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
@@ -405,9 +404,6 @@ def select(
 def _near(bench: Workbench, leader: Trialled, refit: Refit) -> float:
     """Return the gain from which on another effect is not told from the leader."""
     samples = _samples(bench, refit, leader.effect)
-    if samples < 1.0:
-        # What is over within a sample looks much the same, whatever it is.
-        return min(leader.gain - _QUICK_GATE, _QUICK_NEAR * leader.gain)
     if samples < _BRIEF:
         return min(leader.gain - LEAD, _BRIEF_NEAR * leader.gain)
     return leader.gain - LEAD

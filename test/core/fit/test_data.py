@@ -356,7 +356,7 @@ def test_a_change_of_speed_within_few_steps_is_made_of_short_straight_parts() ->
     t = np.arange(0.0, 20.0, 0.004)
     speed = np.interp(t, [0.0, 2.990, 3.006], [0.003, 0.003, 0.0])
     way = -0.003 + np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.004)))
-    noise = 2e-6 * np.random.default_rng(0).standard_normal(t.size)
+    noise = 3e-7 * np.random.default_rng(0).standard_normal(t.size)
     trial = replace(_trial(), tool_height=Signal(t, 0.04 - way - noise))
     trial = replace(trial, force=Signal(t, np.interp(t, trial.force.t, trial.force.value)))
     (made,), _ = prepare([(trial, PHASES)])
