@@ -123,7 +123,9 @@ def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any
     assert not resolved(Workbench(moved, None, bench.memory))
 
 
-def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain(world: Any) -> None:
+def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain(
+    world: Any,
+) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
     refit = bench.refit(Model(('force_lag',)), base)
     place = refit.model.names.index('T_f')
