@@ -59,8 +59,8 @@ _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
 _BRIEF: Final = 3.0
 _BRIEF_NEAR: Final = 0.98
-"""Part of the gain of what is over within so many samples from which on another is like it: how the
-tool went within a sample is not known."""
+"""Part of the gain of what is over within so many samples from which on another is like it: how
+the tool went within a sample is not known."""
 CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
