@@ -419,6 +419,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
     """Return the candidates that may be accepted, best first."""
     shown = resolved(bench)
     weakest = max(WEAKEST, _SECONDARY * strongest)
+    refused = drawn_out(bench, tried)
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
@@ -434,13 +435,34 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             e.gain < each.gain or (e.refit is not None and enough(e, e.refit)) for e in simpler
         )
 
-    return [
+    good = [
         each
         for each in tried
         if each.refit is not None
         and enough(each, each.refit)
         and not seldom(bench, each.refit, each.effect)
     ]
+    return [each for each in good if _beside(bench, each, refused) > GATE]
+
+
+def _beside(bench: Workbench, each: Trialled, refused: Sequence[Trialled]) -> float:
+    """
+    Return the gain of a candidate where those that are refused may act.
+
+    Jumps are drawn out whether or not the encoders show by what: an effect that gains less than
+    that, and nothing beside it, has only taken some of it.
+    """
+    gains = [each.gain]
+    for other in refused:
+        if other.refit is None or other.gain <= each.gain:
+            continue
+        if each.effect not in candidates_for(other.refit.model, [each.effect]):
+            continue
+        both = bench.refit(Model((*other.refit.model.effects, each.effect)), other.refit)
+        if both is not None:
+            gains.append(other.refit.deviance - both.deviance - price(bench, each.effect))
+            break
+    return min(gains)
 
 
 def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ...]:

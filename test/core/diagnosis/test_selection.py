@@ -31,6 +31,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     select,
     Trialled,
 )
+from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
 
@@ -90,6 +91,22 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [unseen], 0.0) == []
     assert drawn_out(bench, [unseen]) == (unseen,)
     assert drawn_out(bench, [strong]) == ()
+
+
+def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
+    """A spring in series tells all of it, and is refused for stops that are not seen."""
+    bench, base = world.measure(
+        world.campaign(world.four[:2]), Undeclared('series_spring', (1e5,)), seed=1
+    ).bench()
+    spring = bench.refit(Model(('series_spring',)), base)
+    other = bench.refit(Model(('contact_growth',)), base)
+    refused = Trialled('series_spring', 310.0, 300.0, 1.0, spring, stop=290.0)
+    taken = Trialled('contact_growth', 110.0, 100.0, 1.0, other)
+    assert fleeting(bench, spring, 'series_spring')
+    assert _good(bench, [refused, taken], 0.0) == []
+    # What gains more than that is not asked.
+    more = replace(taken, gain=400.0)
+    assert _good(bench, [refused, more], 0.0) == [more]
 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
