@@ -96,7 +96,7 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
 def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
     """A spring in series tells all of it, and is refused for stops that are not seen."""
     bench, base = world.measure(
-        world.campaign(world.four[:2]), Undeclared('series_spring', (1e5,)), seed=1
+        world.campaign(world.four[:2]), Undeclared('series_spring', (3e5,)), seed=1
     ).bench()
     spring = bench.refit(Model(('series_spring',)), base)
     other = bench.refit(Model(('contact_growth',)), base)
