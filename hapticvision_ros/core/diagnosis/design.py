@@ -346,7 +346,7 @@ class _Rival:
 
     def __init__(self, bench: Workbench, right: Refit, rival: Refit) -> None:
         self._bench, self._right = bench, right
-        self._blur = max(right.blur, rival.blur)
+        self._blur = right.blur.at_least(rival.blur)
         self._trials = [
             _said(right.problem, right.state, index) for index in range(len(bench.trials))
         ]

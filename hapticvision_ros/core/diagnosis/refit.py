@@ -31,6 +31,7 @@ from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.fit.campaign import (
+    Blur,
     carried,
     Fit,
     follow,
@@ -91,8 +92,8 @@ class Refit:
         Minus twice the log likelihood, constants apart.
     force_noise, height_noise : SensorNoise
         The most likely noise.
-    blur : float
-        How well the moments are known at which the force jumps, in samples.
+    blur : Blur
+        How well the moments are known at which the force jumps.
     jumps : tuple of ndarray
         The variance that each step's force has by it [N^2].
 
@@ -105,7 +106,7 @@ class Refit:
     deviance: float
     force_noise: SensorNoise
     height_noise: SensorNoise
-    blur: float
+    blur: Blur
     jumps: tuple[FloatArray, ...]
 
     def as_fit(self, like: Fit) -> Fit:
@@ -500,7 +501,7 @@ class Workbench:
         state: FloatArray,
         force: SensorNoise,
         height: SensorNoise,
-        blur: float,
+        blur: Blur,
     ) -> Refit:
         """Return the best parameters and the noise that goes with them."""
         best: Refit | None = None

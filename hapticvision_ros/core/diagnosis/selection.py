@@ -178,18 +178,13 @@ def _samples(bench: Workbench, refit: Refit, effect: str) -> float:
     return time_constant(_values(refit)) / max(trial.interval, trial.path.interval)
 
 
-def resolved(bench: Workbench) -> bool:
+def _shown(trial: FitTrial) -> bool:
     """
-    Return whether the encoders show how the arm stops after the fastest push.
+    Return whether the encoders show how the arm stops after the push of a trial.
 
     How it slows down in the air, and a withdrawal, which is quicker as a rule and shows less in
     the force, tell nothing of that.
     """
-    return any(map(_shown, bench.trials))
-
-
-def _shown(trial: FitTrial) -> bool:
-    """Return whether the encoders show how the arm stops after the push of a trial."""
     return any(
         bend.duration > _RESOLVED * trial.path.interval
         for bend in trial.path.bends
@@ -324,8 +319,7 @@ def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
             last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
             release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
         if not _shown(trial):
-            at = trial.t[trial.pushed[0].stop]
-            near = np.abs(trial.middle - at) < _RESOLVED * trial.path.interval
+            near = np.abs(trial.middle - trial.t_stop) < _RESOLVED * trial.path.interval
             stop += float(parts[near].sum())
     return release, stop
 
@@ -392,8 +386,7 @@ def select(
             rounds.append(Round(current, tried, ()))
             break
         leader = good[0]
-        enough = _near(bench, leader, good[0].refit)
-        near = [each for each in good if each.gain > enough]
+        near = _near(bench, good)
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
@@ -401,12 +394,21 @@ def select(
     return current, tuple(rounds)
 
 
-def _near(bench: Workbench, leader: Trialled, refit: Refit) -> float:
-    """Return the gain from which on another effect is not told from the leader."""
-    samples = _samples(bench, refit, leader.effect)
-    if samples < _BRIEF:
-        return min(leader.gain - LEAD, _BRIEF_NEAR * leader.gain)
-    return leader.gain - LEAD
+def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
+    """Return the leader of some candidates, best first, and those that are not told from it."""
+    leader = good[0]
+    assert leader.refit is not None
+    if _samples(bench, leader.refit, leader.effect) >= _BRIEF:
+        return [each for each in good if each.gain > leader.gain - LEAD]
+    enough = min(leader.gain - LEAD, _BRIEF_NEAR * leader.gain)
+    # Nor does it count between them how the arm moved unseen.
+    seen = _seen(leader) - LEAD
+    return [each for each in good if each.gain > enough or _seen(each) > seen]
+
+
+def _seen(each: Trialled) -> float:
+    """Return the gain of a candidate without what is told where the arm's motion is not seen."""
+    return each.gain - each.release - each.stop
 
 
 def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> bool:
@@ -417,7 +419,6 @@ def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> boo
 
 def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list[Trialled]:
     """Return the candidates that may be accepted, best first."""
-    shown = resolved(bench)
     weakest = max(WEAKEST, _SECONDARY * strongest)
     refused = drawn_out(bench, tried)
 
@@ -427,7 +428,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
             return seen and each.gain > GATE
-        if not shown or not _draws_out(bench, each, weakest, each.gain - each.stop):
+        if not _draws_out(bench, each, weakest, _seen(each)):
             return False
         # What a simpler one tells as well is not there where that one is refused.
         simpler = [e for e in tried if e.effect in BY_NAME[each.effect].generalises]
@@ -482,18 +483,17 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
         Those that might be accepted if the encoders showed how the arm stops.
 
     """
-    shown = resolved(bench)
     return tuple(
         each
         for each in tried
-        if _draws_out(bench, each, WEAKEST, each.gain)
-        and not (shown and _draws_out(bench, each, WEAKEST, each.gain - each.stop))
+        if _draws_out(bench, each, WEAKEST, each.gain - each.release)
+        and not _draws_out(bench, each, WEAKEST, _seen(each))
     )
 
 
 def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) -> bool:
     """Return whether a candidate is seen to draw jumps out, over less than a sample."""
-    if each.refit is None or gain - each.release <= _QUICK_GATE or each.strength <= weakest:
+    if each.refit is None or gain <= _QUICK_GATE or each.strength <= weakest:
         return False
     # What is over at once only changes what a jump is said to be.
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0

@@ -28,7 +28,7 @@ H. D. Patterson and R. Thompson, Biometrika 58, 1971, 545-554, doi:10.1093/biome
 
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 import math
@@ -88,8 +88,6 @@ _FIRST_RECORDS: Final = 2
 """Records that the first look at the noise takes, about: it only has to come near."""
 _BLURS: Final = (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
-SHARPEST: Final = _BLURS[0]
-"""The best of it."""
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""
 _DENSE: Final = 0.05
@@ -151,6 +149,27 @@ def pairs_of(campaign: Sequence[Segmented]) -> list[tuple[Trial, Segmentation]]:
     return [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
 
 
+class Blur(NamedTuple):
+    """
+    How well the moments are known at which the force jumps or falls fast, in samples.
+
+    At the touch the tool goes on as it did, and the moment is a parameter of the fit. How it stops
+    and starts again is known by its encoders alone.
+    """
+
+    touch: float
+    later: float
+
+    def at_least(self, other: 'Blur') -> 'Blur':
+        """Return what is known no better than either."""
+        return Blur(max(self.touch, other.touch), max(self.later, other.later))
+
+
+_SAMPLE: Final = Blur(1.0, 1.0)
+SHARPEST: Final = Blur(_BLURS[0], _BLURS[0])
+"""The best that moments may be known."""
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignNoise:
     """
@@ -160,8 +179,8 @@ class CampaignNoise:
     ----------
     force, height : SensorNoise
         What the residual of the fit tells of one sample of force [N] and height [m].
-    blur : float
-        How well the moments are known at which the force jumps or falls fast, in samples.
+    blur : Blur
+        How well the moments are known at which the force jumps or falls fast.
     force_before_contact, height_before_contact : float or None
         Standard deviation of a sample before contact, where the model cannot be wrong.
     memory : Memory
@@ -171,7 +190,7 @@ class CampaignNoise:
 
     force: SensorNoise
     height: SensorNoise
-    blur: float
+    blur: Blur
     force_before_contact: float | None
     height_before_contact: float | None
     memory: 'Memory'
@@ -565,23 +584,23 @@ class Problem:
                 heights.append(Record(height_blocks(trial), height[-1], height[:p], height[p:-1]))
         return forces, heights
 
-    def jumps(self, state: FloatArray, blur: float = 1.0) -> tuple[FloatArray, ...]:
+    def jumps(self, state: FloatArray, blur: Blur = _SAMPLE) -> tuple[FloatArray, ...]:
         """Return the variance of each step's force for what its moment is not known by [N^2]."""
         return tuple(
             _jumps(self.predict(state, i, directions=False).force, trial, blur)
             for i, trial in enumerate(self.trials)
         )
 
-    def unsure(self, state: FloatArray, blur: float = 1.0) -> tuple[FloatArray, ...]:
+    def unsure(self, state: FloatArray, blur: Blur = _SAMPLE) -> tuple[FloatArray, ...]:
         """Return the same with what the speed of the push is not known by [N^2]."""
         return tuple(
             _unsure(self.predict(state, i, directions=False).force, trial, blur)
             for i, trial in enumerate(self.trials)
         )
 
-    def sharpest(self, state: FloatArray, noise: SensorNoise, blur: float) -> float:
+    def sharpest(self, state: FloatArray, noise: SensorNoise, blur: Blur) -> Blur:
         """
-        Return how well the moments of jumps are known [samples].
+        Return how well the moments of jumps are known.
 
         Parameters
         ----------
@@ -589,12 +608,12 @@ class Problem:
             All parameters.
         noise : SensorNoise
             The noise of the force.
-        blur : float
+        blur : Blur
             Where to begin to look.
 
         Returns
         -------
-        float
+        Blur
             What makes the residual force most likely, among some.
 
         """
@@ -603,32 +622,52 @@ class Problem:
             force = self.predict(state, index, directions=False).force
             zero = self.own(state, index)[1]
             parts.append((trial, force, trial.force - force - zero))
-        known: dict[int, float] = {}
+        known: dict[int, tuple[float, float]] = {}
 
-        def misfit(place: int) -> float:
+        def misfit(place: int) -> tuple[float, float]:
+            """Return the misfit near the touches, and after them, for one place in `_BLURS`."""
             if place not in known:
-                known[place] = 0.0
+                touch = later = 0.0
                 for trial, force, residual in parts:
-                    jumps = _unsure(force, trial, _BLURS[place])
+                    jumps = _unsure(force, trial, Blur(_BLURS[place], _BLURS[place]))
                     filter_ = whitener(force_blocks(trial, jumps), noise)
                     white = filter_(residual[np.newaxis])[0]
-                    known[place] += float(white @ white) + filter_.log_determinant
+                    half = trial.half_way
+                    weight = filter_.weight[:half]
+                    first = float(white[:half] @ white[:half])
+                    first -= 2.0 * float(np.log(weight[weight > 0.0]).sum())
+                    touch += first
+                    later += float(white @ white) + filter_.log_determinant - first
+                known[place] = touch, later
             return known[place]
 
         last = _bluntest(self.trials)
-        place = min(int(np.argmin(np.abs(np.log(np.array(_BLURS) / blur)))), last)
-        while True:
-            near = range(max(place - 1, 0), min(place + 1, last) + 1)
-            best = min(near, key=misfit)
-            if best == place:
-                break
-            place = best
-        if len(near) < 3:
-            return _BLURS[place]
-        # Between the places: what is taken for less sure than it is rewards a smoother model.
-        below, here, above = (misfit(each) for each in near)
-        aside = 0.5 * (below - above) / max(below - 2.0 * here + above, 1e-300)
-        return _BLURS[place] * math.exp2(min(max(aside, -0.5), 0.5))
+        return Blur(
+            _sharpest(lambda place: misfit(place)[0], blur.touch, last),
+            _sharpest(lambda place: misfit(place)[1], blur.later, last),
+        )
+
+
+def _sharpest(misfit: Callable[[int], float], start: float, last: int) -> float:
+    """Return the least misfit of the places in `_BLURS` up to `last`, or between them."""
+    place = min(int(np.argmin(np.abs(np.log(np.array(_BLURS) / start)))), last)
+    while True:
+        near = range(max(place - 1, 0), min(place + 1, last) + 1)
+        best = min(near, key=misfit)
+        if best == place:
+            break
+        place = best
+    if len(near) < 3:
+        return _BLURS[place]
+    # Between the places: what is taken for less sure than it is rewards a smoother model. With a
+    # blur of 2^x the misfit is that of a variance of 4^x, a x + b 4^-x.
+    below, here, above = (misfit(each) for each in near)
+    b = (below - 2.0 * here + above) / 2.25
+    a = above - here + 0.75 * b
+    if a <= 0.0 or b <= 0.0:
+        return _BLURS[place]
+    aside = -0.5 * math.log2(a / (b * math.log(4.0)))
+    return _BLURS[place] * math.exp2(min(max(aside, -0.5), 0.5))
 
 
 def places_of(model: Model, effects: Sequence[str]) -> list[int]:
@@ -685,8 +724,17 @@ def height_blocks(trial: FitTrial) -> Blocks:
     return Blocks(gaps, trial.height_count, np.zeros(trial.height_t.size))
 
 
-def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
-    """Return the variance of each step's force for that its moment is known to `blur` samples."""
+def _jumps(force: FloatArray, trial: FitTrial, blur: Blur = _SAMPLE) -> FloatArray:
+    """Return the variance of each step's force for that its moment is known to `blur`."""
+    variance = _alike(force, trial, blur.touch)
+    if blur.later != blur.touch:
+        late = slice(trial.half_way, None)
+        variance[late] = _alike(force, trial, blur.later)[late]
+    return variance
+
+
+def _alike(force: FloatArray, trial: FitTrial, blur: float) -> FloatArray:
+    """Return it where all moments are known to as many samples."""
     variance = np.empty(force.size)
     _jump_variance(force, trial.middle, trial.spacing, trial.force_count, min(blur, 1.0), variance)
     if blur > 1.0:
@@ -696,7 +744,7 @@ def _jumps(force: FloatArray, trial: FitTrial, blur: float = 1.0) -> FloatArray:
     return variance
 
 
-def _unsure(force: FloatArray, trial: FitTrial, blur: float) -> FloatArray:
+def _unsure(force: FloatArray, trial: FitTrial, blur: Blur) -> FloatArray:
     """Return the same with what the speed of the push is not known by."""
     variance = _jumps(force, trial, blur)
     push, error = trial.pushed
@@ -907,7 +955,7 @@ class _End(NamedTuple):
     solution: Solution
     force_noise: SensorNoise
     height_noise: SensorNoise
-    blur: float
+    blur: Blur
     memory: 'Memory'
 
 
@@ -926,7 +974,7 @@ def _ends(
         force_noise, height_noise = near.noise.force, near.noise.height
         problem = Problem(model, usable)
         states = [carried(near.problem, near.state, problem)]
-    blur = 1.0 if near is None else near.noise.blur
+    blur = _SAMPLE if near is None else near.noise.blur
     limit = _known_memory(usable, near) or longest_memory(usable)
     force_noise = replace(force_noise, wander=limit.wander, wander_time=limit.wander_time)
     ends = list[_End]()
@@ -952,7 +1000,7 @@ def _weighted(
     state: FloatArray,
     force_noise: SensorNoise,
     height_noise: SensorNoise,
-    blur: float,
+    blur: Blur,
     limit: 'Memory',
     *,
     fresh: bool,
@@ -977,7 +1025,7 @@ def _weighted(
                 heights, height_noise, interval, first, limit.height, limit.least_height
             )
         # Error bars are those of moments known to a sample, however sharp these look.
-        blur = max(problem.sharpest(state, force_noise, blur), 1.0)
+        blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         problem.set_noise(force_noise, height_noise, problem.unsure(state, blur))
         solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
         state = solution.theta
@@ -1294,7 +1342,7 @@ def find_onsets(problem: Problem, state: FloatArray) -> None:
         _find_onset(problem, state, index)
 
 
-def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur: float) -> bool:
+def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur: Blur) -> bool:
     """
     Look for the onsets again that leave more than the noise near the touch.
 
@@ -1306,9 +1354,8 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
         All parameters; changed where another onset is better.
     noise : SensorNoise
         The noise of the force.
-    blur : float
-        How well the moments of jumps are known, in samples: where one is misplaced by less, it is
-        left.
+    blur : Blur
+        How well the moments of jumps are known: where one is misplaced by less, it is left.
 
     Returns
     -------

@@ -302,6 +302,22 @@ class FitTrial:
         return steps, math.sqrt(12.0 / seen) * self.path.noise / way
 
     @cached_property
+    def t_stop(self) -> float:
+        """Return when the tool would stop if it went on to its depth as in the push [s]."""
+        push, _ = self.pushed
+        ends = [push.start, push.stop]
+        (start, stop), (first, last) = self.t[ends].tolist(), self.displacement[ends].tolist()
+        if last <= first:
+            return float(stop)
+        return float(stop + (self.displacement.max() - last) * (stop - start) / (last - first))
+
+    @cached_property
+    def half_way(self) -> int:
+        """Return the number of steps up to the middle of the push: the touch is among them."""
+        push = self.pushed[0]
+        return int(push.start + push.stop + 1) // 2
+
+    @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
         fine = self.interval / _PARTS

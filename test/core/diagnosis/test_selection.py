@@ -23,10 +23,10 @@ from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
     _near,
+    _shown,
     _unseen,
     drawn_out,
     fleeting,
-    resolved,
     seldom,
     select,
     Trialled,
@@ -67,7 +67,7 @@ def test_a_sine_that_turns_once_or_twice_is_no_disturbance(world: Any) -> None:
 
 def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
-    assert resolved(bench)
+    assert any(map(_shown, bench.trials))
 
     def quick(name: str, gain: float, strength: float, **values: float) -> Trialled:
         refit = bench.refit(Model((name,)), base)
@@ -113,7 +113,7 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
     release, stop = _unseen(bench, base)
     # The encoders show the stop of the quick push, and not that of the slow one.
-    assert len([t for t in bench.trials if resolved(Workbench([t], None, bench.memory))]) == 1
+    assert len([t for t in bench.trials if _shown(t)]) == 1
     assert release != 0.0 and stop != 0.0
     ends = [replace(trial.path.bends[-1], duration=1e6) for trial in bench.trials]
     late = [
@@ -136,8 +136,8 @@ def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any
     for trial in bench.trials:
         bends = tuple(replace(bend, t=0.5 * trial.t_contact) for bend in trial.path.bends)
         moved.append(replace(trial, path=replace(trial.path, bends=bends)))
-    assert resolved(bench)
-    assert not resolved(Workbench(moved, None, bench.memory))
+    assert any(map(_shown, bench.trials))
+    assert not any(map(_shown, moved))
 
 
 def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain(
@@ -146,12 +146,20 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
     refit = bench.refit(Model(('force_lag',)), base)
     place = refit.model.names.index('T_f')
-    found = []
-    for samples in (0.5, 10.0):
+
+    def near(samples: float, *others: tuple[float, float]) -> int:
+        """Return how many of some gains, with what is not seen of each, are near one of 1000."""
         values = refit.model.values(refit.theta)
         values[place] = samples * 0.002
         state = refit.state.copy()
         state[: values.size] = refit.model.theta(values)
-        leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, replace(refit, state=state))
-        found.append(_near(bench, leader, leader.refit))
-    assert found == pytest.approx([980.0, 990.0])
+        leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, replace(refit, state=state), 0.0, 50.0)
+        rest = [Trialled('friction', 0.0, gain, 1.0, refit, stop=stop) for gain, stop in others]
+        return len(_near(bench, [leader, *rest])) - 1
+
+    # By 2 % of the gain, or by the usual lead.
+    assert near(0.5, (981.0, 50.0), (979.0, 50.0)) == 1
+    assert near(10.0, (991.0, 50.0), (989.0, 50.0)) == 1
+    # What leads only by how the arm moved unseen does not lead.
+    assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
+    assert near(10.0, (960.0, 10.0)) == 0

@@ -25,6 +25,7 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.campaign import (
     _jump_variance,
     _jumps,
+    Blur,
     Fit,
     fit,
     Memory,
@@ -318,7 +319,7 @@ def test_a_jump_is_uncertain_where_the_force_bends() -> None:
 def test_how_well_the_moments_of_jumps_are_known_is_seen(blur: float) -> None:
     """Between the places that are tried, too: what is left over would reward a smoother model."""
     cell = Cell(rate=500.0, force_noise=0.002, hold=2.0, recovery=2.0)
-    result = fit(campaign(3, 6, cell=cell))
+    result = fit(campaign(3, 24, cell=cell))
     old, random = result.problem, np.random.default_rng(8)
     trials = []
     for index, trial in enumerate(old.trials):
@@ -326,12 +327,16 @@ def test_how_well_the_moments_of_jumps_are_known_is_seen(blur: float) -> None:
             old.predict(result.state, index, directions=False).force
             + old.own(result.state, index)[1]
         )
-        variance = _jumps(force, trial, blur) + 0.002**2 / np.maximum(trial.force_count, 1.0)
+        variance = _jumps(force, trial, Blur(0.4, blur)) + 0.002**2 / np.maximum(
+            trial.force_count, 1.0
+        )
         noisy = force + np.sqrt(variance) * random.standard_normal(force.size)
         trials.append(replace(trial, force=noisy))
     problem = Problem(old.model, trials)
     noise = SensorNoise(0.002, 1e-9, 0.01)
-    assert problem.sharpest(result.state, noise, 1.0) == pytest.approx(blur, rel=0.2)
+    found = problem.sharpest(result.state, noise, Blur(1.0, 1.0))
+    assert found.later == pytest.approx(blur, rel=0.2)
+    assert found.touch == pytest.approx(0.4, rel=0.2)
 
 
 def _two(seed: int, cell: Cell, speeds: tuple[float, float]) -> list:
