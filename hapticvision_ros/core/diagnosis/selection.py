@@ -37,6 +37,7 @@ from typing import Final
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.fit.campaign import Problem, SHARPEST
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
@@ -61,6 +62,10 @@ _BRIEF: Final = 3.0
 _BRIEF_NEAR: Final = 0.98
 """Part of the gain of what is over within so many samples from which on another is like it: how
 the tool went within a sample is not known."""
+_BLUNT: Final = 1.0
+"""Samples to which moments are known, above which a search is made as if they were known."""
+_SIZES: Final = np.geomspace(0.7, 1.6, 12)
+"""Sizes over a known one that are looked at where a search does not find its way."""
 CERTAIN: Final = 100.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
@@ -281,10 +286,45 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
             blur=known.blur,
             jumps=known.jumps,
         )
-    again = bench.refit(known.model, near)
-    if again is None or again.deviance >= found.refit.deviance:
+    starts = [near]
+    if max(known.blur) > _BLUNT:
+        starts += _sharper(known, found.effect)
+    best = found.refit
+    for start in starts:
+        again = bench.refit(known.model, start)
+        if again is not None and again.deviance < best.deviance:
+            best = again
+    if best is found.refit:
         return found
-    return _trialled(bench, without, found.effect, again)
+    return _trialled(bench, without, found.effect, best)
+
+
+def _sharper(known: Refit, effect: str) -> list[Refit]:
+    """
+    Return starts for a refit whose moments are not known well, as if they were.
+
+    A jump that may come at any time has no say in how large it is. Where a search does not find
+    its way to a size, others near it are looked at, the best by what they leave.
+    """
+    jumps = known.problem.unsure(known.state, SHARPEST)
+    starts = [replace(known, blur=SHARPEST, jumps=jumps)]
+    rough = [p.symbol for p in BY_NAME[effect].parameters if len(p.scan) > _ROUGH]
+    if rough:
+        problem = Problem(known.model, known.problem.trials, known.problem.scatter)
+        problem.set_noise(known.force_noise, known.height_noise, jumps)
+        values = known.model.values(known.theta)
+        place = known.model.names.index(rough[0])
+        left = []
+        for size in values[place] * _SIZES:
+            values[place] = size
+            state = known.state.copy()
+            state[: values.size] = known.model.theta(values)
+            residual, _ = problem.evaluate(state)
+            left.append((float(residual @ residual), state))
+        _, state = min(left, key=lambda each: each[0])
+        jumps = problem.unsure(state, SHARPEST)
+        starts.append(replace(known, state=state, blur=SHARPEST, jumps=jumps))
+    return starts
 
 
 def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Trialled:
