@@ -506,9 +506,9 @@ class Workbench:
         """Return the best parameters and the noise that goes with them."""
         best: Refit | None = None
         for turn in range(_ROUNDS):
-            if turn:
-                # A jump that is misplaced passes for one whose moment is not known.
-                replace_onsets(problem, state, force, SHARPEST)
+            # A jump that is misplaced passes for one whose moment is not known.
+            if turn and replace_onsets(problem, state, force, SHARPEST):
+                problem.set_noise(force, height, problem.unsure(state, blur))
             state = minimise(
                 problem.evaluate,
                 state,

@@ -78,6 +78,8 @@ _STEPS: Final = 25
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
 """The onset is looked for in this many errors of the detection, and so often more finely."""
+_ONSET_PART: Final = 0.125
+"""Part of a sample's way to which it is looked for again."""
 _MISPLACED: Final = 4.0
 """Squares at the touch, over those of the noise, from which on the onset is looked for again."""
 _TOUCHING: Final = 3
@@ -1378,7 +1380,7 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
         if left < _MISPLACED * float(head.force_count[beside] @ variance):
             continue
         squares = _squares(problem, state, index, head, chosen)
-        _find_onset(problem, state, index)
+        _find_onset(problem, state, index, finely=True)
         better = squares - _BETTER * float(variance.max())
         if _squares(problem, state, index, head, chosen) < better:
             moved = True
@@ -1403,13 +1405,20 @@ def _squares(
     return float(head.force_count[chosen] @ residual**2)
 
 
-def _find_onset(problem: Problem, state: FloatArray, index: int) -> None:
+def _find_onset(problem: Problem, state: FloatArray, index: int, *, finely: bool = False) -> None:
     """Set the onset of one trial to where its first force is followed best."""
     trial, place = problem.trials[index], problem.places[index].start
     reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(trial)
     head = trial.head(chosen.stop)
+    zooms = _ONSET_ZOOMS
+    if finely:
+        push = trial.pushed[0]
+        way, spent = (float(x[push.stop] - x[push.start]) for x in (trial.displacement, trial.t))
+        if way > 0.0:
+            finest = _ONSET_PART * way * trial.interval / spent
+            zooms = min(max(zooms, math.ceil(math.log(0.25 * reach / finest, 3.0)) + 1), 20)
     state[place] = 0.0
-    for _ in range(_ONSET_ZOOMS):
+    for _ in range(zooms):
         tried = state[place] + np.linspace(-reach, reach, 9)
         costs = []
         for value in tried:
