@@ -69,6 +69,8 @@ _LINE: Final = 1e-4
 """Chance below which a line in the residual's spectrum is looked at with every sample."""
 _SCATTERS: Final = (0.003, 0.006, 0.012, 0.025, 0.05)
 """Scatter of the trials that is tried where no push was repeated, or few were."""
+_AGEING: Final = 'ageing'
+"""What changes an object steadily over a campaign, as scatter would by chance."""
 _FEW_REPEATS: Final = 4
 """Differences between repeats below which they may be alike by chance."""
 _WORSE: Final = 2
@@ -204,7 +206,7 @@ class _Search:
         plain = Workbench(self.before.problem.trials, None, self.before.noise.memory)
         base = plain.base(self.before)
         names, hidden = self._testable(plain, base)
-        scatter = self._repeats(base)
+        scatter = self._repeats(plain, base)
         bench, scattered = plain, None
         if scatter is not None and scatter.cautious.any():
             scattered = scatter.cautious
@@ -281,11 +283,13 @@ class _Search:
             (seen if shown else hidden).append(effect.name)
         return seen, hidden
 
-    def _repeats(self, base: Refit) -> Scatter | None:
+    def _repeats(self, bench: Workbench, base: Refit) -> Scatter | None:
         """Return the scatter that repeats show, and say so."""
         scatter = measure(base, self.groups)
         if scatter is None:
             return None
+        if scatter.cautious.any() and scatter.degrees < _FEW_REPEATS:
+            scatter = self._steady(bench, base, scatter)
         if scatter.std.any():
             sizes = ', '.join(
                 f'{100.0 * size:.2g} % in {name}'
@@ -296,6 +300,19 @@ class _Search:
                 f'between repeats): a nuisance that is allowed for and no effect'
             )
         return scatter
+
+    def _steady(self, bench: Workbench, base: Refit, scatter: Scatter) -> Scatter:
+        """Return the scatter that is left if the object ages, where all trials tell this."""
+        # So few repeats do not tell a change over the campaign from scatter.
+        aged = bench.refit(Model((_AGEING,)), base)
+        left = None if aged is None else measure(aged, self.groups)
+        if aged is None or left is None or left.cautious.max() >= scatter.cautious.max():
+            return scatter
+        if left.cautious.any():
+            aged = bench.scattering(left.cautious).base(aged.as_fit(self.before))
+        scattered = bench.scattering(scatter.cautious).base(self.before)
+        better = aged.deviance + price(bench, _AGEING) + LEAD < scattered.deviance
+        return left if better else scatter
 
     def _select(
         self, bench: Workbench, base: Refit, names: Sequence[str]

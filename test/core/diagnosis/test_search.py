@@ -214,3 +214,11 @@ def test_what_neither_touches_nor_slow_encoders_show_is_told_and_not_named(world
     (told,) = (each for each in found.warnings if 'drawn out' in each)
     assert 'series_spring' in told
     assert 'every 20 ms' in told
+
+
+def test_one_repeat_does_not_hide_that_the_object_ages(world: Any) -> None:
+    """Five pushes over a campaign, of which the last repeats the first."""
+    campaign = world.campaign((*world.four, world.four[0]), hold=3.0, recover=2.0, rate=100.0)
+    found = diagnose(world.measure(campaign, Undeclared('ageing', (2.0,)), seed=4).pairs)
+    assert found.sets == (('ageing',),)
+    assert not any('scatter' in each for each in found.warnings)
