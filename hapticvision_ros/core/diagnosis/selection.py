@@ -66,7 +66,7 @@ _BLUNT: Final = 1.0
 """Samples to which moments are known, above which a search is made as if they were known."""
 _SIZES: Final = np.geomspace(0.7, 1.6, 12)
 """Sizes over a known one that are looked at where a search does not find its way."""
-CERTAIN: Final = 100.0
+CERTAIN: Final = 40.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.1
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
