@@ -288,7 +288,9 @@ class _Search:
         scatter = measure(base, self.groups)
         if scatter is None:
             return None
-        if scatter.cautious.any() and scatter.degrees < _FEW_REPEATS:
+        # Two trials make a steady change of any difference.
+        few = scatter.degrees < _FEW_REPEATS <= len(bench.trials)
+        if few and scatter.cautious.any():
             scatter = self._steady(bench, base, scatter)
         if scatter.std.any():
             sizes = ', '.join(

@@ -222,3 +222,10 @@ def test_one_repeat_does_not_hide_that_the_object_ages(world: Any) -> None:
     found = diagnose(world.measure(campaign, Undeclared('ageing', (2.0,)), seed=4).pairs)
     assert found.sets == (('ageing',),)
     assert not any('scatter' in each for each in found.warnings)
+
+
+def test_two_repeats_alone_do_not_tell_ageing_from_scatter(world: Any) -> None:
+    campaign = world.campaign((world.four[0],) * 2, hold=3.0, recover=2.0, rate=100.0)
+    found = diagnose(world.measure(campaign, Undeclared('ageing', (2.0,)), seed=4).pairs)
+    assert found.effects == ()
+    assert any('scatter' in each for each in found.warnings)
