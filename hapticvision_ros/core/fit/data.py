@@ -366,8 +366,18 @@ class FitTrial:
         last = self.t.size - 1
         steps = min(steps, last - 1)
         ends = np.append(np.arange(steps + 1), last)
+        # Nobody asks how the tool goes on within the rest.
+        until = float(self.t[steps])
+        knots = slice(int(np.searchsorted(self.path.t, until)) + 1)
+        path = replace(
+            self.path,
+            t=self.path.t[knots],
+            displacement=self.path.displacement[knots],
+            bends=tuple(bend for bend in self.path.bends if bend.stop <= until),
+        )
         return replace(
             self,
+            path=path,
             t=self.t[ends],
             displacement=self.displacement[ends],
             force=np.append(self.force[:steps], 0.0),
