@@ -507,6 +507,7 @@ class Workbench:
         best: Refit | None = None
         for turn in range(_ROUNDS):
             # A jump that is misplaced passes for one whose moment is not known.
+            state = state.copy()
             if turn and replace_onsets(problem, state, force, SHARPEST):
                 problem.set_noise(force, height, problem.unsure(state, blur))
             state = minimise(

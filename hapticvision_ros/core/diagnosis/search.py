@@ -206,7 +206,7 @@ class _Search:
         plain = Workbench(self.before.problem.trials, None, self.before.noise.memory)
         base = plain.base(self.before)
         names, hidden = self._testable(plain, base)
-        scatter = self._repeats(plain, base)
+        scatter = self._repeats(plain, base, names)
         bench, scattered = plain, None
         if scatter is not None and scatter.cautious.any():
             scattered = scatter.cautious
@@ -283,14 +283,14 @@ class _Search:
             (seen if shown else hidden).append(effect.name)
         return seen, hidden
 
-    def _repeats(self, bench: Workbench, base: Refit) -> Scatter | None:
+    def _repeats(self, bench: Workbench, base: Refit, names: Sequence[str]) -> Scatter | None:
         """Return the scatter that repeats show, and say so."""
         scatter = measure(base, self.groups)
         if scatter is None:
             return None
         # Two trials make a steady change of any difference.
         few = scatter.degrees < _FEW_REPEATS <= len(bench.trials)
-        if few and scatter.cautious.any():
+        if few and scatter.cautious.any() and _AGEING in names:
             scatter = self._steady(bench, base, scatter)
         if scatter.std.any():
             sizes = ', '.join(

@@ -651,7 +651,7 @@ class Problem:
 
 
 def _sharpest(misfit: Callable[[int], float], start: float, last: int) -> float:
-    """Return the least misfit of the places in `_BLURS` up to `last`, or between them."""
+    """Return the blur of the least misfit: of the places in `_BLURS` up to `last`, or between."""
     place = min(int(np.argmin(np.abs(np.log(np.array(_BLURS) / start)))), last)
     while True:
         near = range(max(place - 1, 0), min(place + 1, last) + 1)

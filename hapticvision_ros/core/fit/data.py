@@ -80,7 +80,9 @@ the way is not known: few samples of the encoders, whose corners are off as well
 _SHORTEST_PART: Final = 1e-3
 """Intervals of the force that a part of a step is long at least."""
 _PARTS: Final = 4
-"""Straight parts of an interval of the force over which the tool changes its speed steadily."""
+_QUICK: Final = 24.0
+"""Straight parts of an interval of the force over which the tool changes its speed steadily; and
+intervals that this takes at most where it matters."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
@@ -315,13 +317,20 @@ class FitTrial:
     def half_way(self) -> int:
         """Return the number of steps up to the middle of the push: the touch is among them."""
         push = self.pushed[0]
-        return int(push.start + push.stop + 1) // 2
+        return max(int(push.start + push.stop + 1) // 2, int(push.start) + 1)
 
     @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
+        if self.path.t.size > 4 * _MOST_PIECES:
+            # Corners at the encoders' samples are their noise as well.
+            return None
         fine = self.interval / _PARTS
-        bent = [np.arange(bend.start, bend.stop, fine) for bend in self.path.bends]
+        bent = [
+            np.arange(bend.start, bend.stop, fine)
+            for bend in self.path.bends
+            if bend.duration < _QUICK * self.interval
+        ]
         t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
         inner = (t > self.t[0]) & (t < self.t[-1]) & (displacement > 0.0)
@@ -373,7 +382,7 @@ class FitTrial:
             self.path,
             t=self.path.t[knots],
             displacement=self.path.displacement[knots],
-            bends=tuple(bend for bend in self.path.bends if bend.stop <= until),
+            bends=tuple(bend for bend in self.path.bends if bend.start < until),
         )
         return replace(
             self,

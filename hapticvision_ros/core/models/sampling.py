@@ -156,7 +156,7 @@ def lag(t, time_constant, value, d_value, row):  # type: ignore[no-untyped-def]
                 pace = 1.0 / share
                 kept = math.exp(-pace)
                 d_pace = -pace / time_constant
-                d_kept = -kept * d_pace
+                d_kept = kept * pace / time_constant
                 _moments(pace, held, d_held)
                 bulge = held[1] - held[2]
                 of_start = held[0] - held[1] - 3.0 * bulge

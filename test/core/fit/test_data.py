@@ -365,3 +365,14 @@ def test_a_change_of_speed_within_few_steps_is_made_of_short_straight_parts() ->
     assert made.turns is not None
     inside = (made.turns.t > bend.start) & (made.turns.t < bend.stop)
     assert np.diff(made.turns.t[inside]).max() < 1.1e-3
+
+
+def test_a_path_through_the_samples_of_the_encoders_splits_no_step() -> None:
+    """Each of its corners is noise as well: what yields would yield to it."""
+    whole = _trial()
+    t, value = whole.tool_height.t, whole.tool_height.value
+    wavy = replace(whole, tool_height=Signal(t, value + 1e-4 * np.sin(30.0 * t)))
+    wavy = replace(wavy, force=Signal(whole.force.t[::4], whole.force.value[::4]))
+    (made,), _ = prepare([(wavy, PHASES)])
+    assert made.path.t.size > 1000
+    assert made.turns is None
