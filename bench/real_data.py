@@ -139,7 +139,7 @@ class Miss:
         zero = found.values.get('force_zero')
         middle = 0.5 * (full.t[1:] + full.t[:-1])
         good = full.samples.good & (middle >= within[0]) & (middle < within[1])
-        said = model.predict(full, theta, own, directions=False).force[good]
+        said = model.predict(full, theta, own, directions=False, turns=full.turns).force[good]
         measured = full.samples.force[good] - ((zero.value or 0.0) if zero else 0.0)
         factor = float(measured @ said) / max(float(said @ said), 1e-300)
         return cls(
