@@ -282,7 +282,8 @@ class TestAnAutonomousExperiment:
     ):
         results, feedback = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_FEEDBACK)
         goal = {'depths': [0.003], 'hold_time': 0.4, 'recover_time': 0.4, 'autonomous': True}
-        goal |= {'budget_trials': 1}
+        # Steps shorter than the period are told as well.
+        goal |= {'budget_trials': 1, 'feedback_period': 60.0}
         answers = probe.set_parameters('experiment_orchestrator', goal)
         assert all(answer.successful for answer in answers), answers
         answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)

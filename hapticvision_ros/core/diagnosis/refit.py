@@ -506,8 +506,8 @@ class Workbench:
         """Return the best parameters and the noise that goes with them."""
         best: Refit | None = None
         for turn in range(_ROUNDS):
-            # A jump that is misplaced passes for one whose moment is not known.
             state = state.copy()
+            # A jump that is misplaced passes for one whose moment is not known.
             if turn and replace_onsets(problem, state, force, SHARPEST):
                 problem.set_noise(force, height, problem.unsure(state, blur))
             state = minimise(

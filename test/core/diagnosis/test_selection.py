@@ -23,6 +23,7 @@ from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _good,
     _near,
+    _sharper,
     _shown,
     _unseen,
     drawn_out,
@@ -31,6 +32,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     select,
     Trialled,
 )
+from hapticvision_ros.core.fit.campaign import Blur, SHARPEST
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
@@ -107,6 +109,35 @@ def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
     # What gains more than that is not asked.
     more = replace(taken, gain=400.0)
     assert _good(bench, [refused, more], 0.0) == [more]
+
+
+def test_a_clear_gain_is_an_effect_though_it_acts_in_few_samples(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2]), seed=1).bench()
+    refit = bench.refit(Model(('height_bias',)), base)
+    clear, less = (Trialled('height_bias', gain, gain, 0.04, refit) for gain in (45.0, 35.0))
+    assert _good(bench, [clear, less], 0.0) == [clear]
+    # Beside a stronger effect the share of that one counts.
+    assert _good(bench, [clear], 1.0) == []
+
+
+def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> None:
+    """A start at two thirds of the pull-off force, as if moments were known to two samples."""
+    bench, base = world.measure(
+        world.campaign(world.four[:2]), Undeclared('adhesion', (1.5,)), seed=1
+    ).bench()
+    right = bench.refit(Model(('adhesion',)), base)
+    place = right.model.names.index('F_ad')
+    values = right.model.values(right.theta)
+    best = float(values[place])
+    assert best == pytest.approx(1.5, rel=0.1)
+    values[place] = best / 1.5
+    state = right.state.copy()
+    state[: values.size] = right.model.theta(values)
+    sharp, near = _sharper(replace(right, state=state, blur=Blur(0.1, 2.0)), 'adhesion')
+    assert sharp.blur == near.blur == SHARPEST
+    assert np.array_equal(sharp.state, state)
+    # The sizes that are looked at are 8 % apart.
+    assert near.model.values(near.theta)[place] == pytest.approx(best, rel=0.09)
 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:

@@ -30,6 +30,7 @@ from hapticvision_ros.core.fit.campaign import (
     fit,
     Memory,
     Problem,
+    replace_onsets,
 )
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.fit.noise_model import SensorNoise
@@ -372,3 +373,16 @@ def test_a_glitch_in_a_push_of_unsure_speed_is_set_aside() -> None:
     # The push is told sample by sample.
     inside = result.trials[1].force.between(phases.t_contact, phases.t_hold)
     assert len(inside) > 500
+
+
+def test_a_touch_that_is_misplaced_is_found_to_a_part_of_a_samples_way() -> None:
+    """The tool goes 4 and 10 um from sample to sample; the detection is known to 200 um."""
+    cell = Cell(rate=500.0, force_noise=0.0005, hold=2.0, recovery=2.0)
+    result = fit(campaign(3, 2, cell=cell))
+    model = result.problem.model
+    problem = Problem(model, [replace(trial, onset_std=2e-4) for trial in result.problem.trials])
+    places = [place.start for place in problem.places]
+    state = result.state.copy()
+    state[places] += 4e-5
+    assert replace_onsets(problem, state, SensorNoise(0.0005, 1e-9, 0.01), Blur(0.0625, 0.0625))
+    np.testing.assert_allclose(state[places], result.state[places], atol=1e-6)
