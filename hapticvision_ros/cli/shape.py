@@ -31,12 +31,11 @@ from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli.export import fitted_model, quantity, read_result
 from hapticvision_ros.cli.fit import Progress, write_json
+from hapticvision_ros.cli.tips import ByTip, Identified
 from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
-    from hapticvision_ros.core.composition import Model
-    from hapticvision_ros.core.records import Estimate
     from hapticvision_ros.core.surface.cloud import Observation
     from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
 
@@ -135,17 +134,17 @@ def run(args: argparse.Namespace) -> int:
         os.environ.setdefault(variable, '1')
     settings = _settings(args)
     result = read_result(args.result)
-    fitted = fitted_model(args.result, args.which)[:2]
+    of_tip = ByTip(args.bags, _identified(args.result, args.which, result), sphere=args.sphere)
     which = args.which or ('after' if result.get('after') is not None else 'before')
     rows: list[dict[str, Any]] = []
     loop: list[dict[str, Any]] = []
     folders = _folders(args.bags, args.out)
     if args.close_loop:
-        loop, settings = _closed(args.bags, result, fitted, settings)
+        loop, settings = _closed(args.bags, of_tip, settings)
     for bag, out in zip(args.bags, folders, strict=True):
         if len(args.bags) > 1:
             print(f'{bag}\n')
-        study = _study(bag, result, fitted, settings)
+        study = _study(bag, of_tip(settings.sphere), settings)
         rows.append(_done(study, args.result, which, bag, out))
         print()
     if len(rows) > 1:
@@ -155,6 +154,15 @@ def run(args: argparse.Namespace) -> int:
         print('\n'.join(_table(rows)))
         print(f'\nWrote {path}.')
     return 0
+
+
+def _identified(path: Path, which: str | None, result: Mapping[str, Any]) -> Identified:
+    """Return what a result says of the object."""
+    from hapticvision_ros.core.export import known_values
+
+    model, estimates = fitted_model(path, which)[:2]
+    depths = [depth for depth in _depths(result) if depth is not None]
+    return Identified(model, known_values(model, estimates), max(depths, default=None))
 
 
 def _folders(bags: Sequence[Path], out: Path) -> list[Path]:
@@ -296,8 +304,7 @@ def _size(text: str) -> tuple[float, float, float]:
 
 def _closed(
     bags: Sequence[Path],
-    result: Mapping[str, Any],
-    fitted: 'tuple[Model, Mapping[str, Estimate]]',
+    of_tip: ByTip,
     settings: 'ShapeSettings',
 ) -> 'tuple[list[dict[str, Any]], ShapeSettings]':
     """Return what the shapes ask for, one thing after the other, and with what to simulate."""
@@ -308,7 +315,9 @@ def _closed(
         loop, asked = close_loop(
             len(bags),
             settings,
-            lambda trial, changed, seen: _study(bags[trial], result, fitted, changed, seen),
+            lambda trial, changed, seen: _study(
+                bags[trial], of_tip(changed.sphere), changed, seen
+            ),
         )
         print('Misfit of the profile of the shape, trial by trial [mm rms]:\n')
         for name, misfits in loop.misfits.items():
@@ -336,23 +345,31 @@ def _closed(
         )
         if not loop.accepted:
             break
+        if asked.sphere != settings.sphere and of_tip(asked.sphere).anew:
+            print(f'{_anew(of_tip(asked.sphere))}.\n')
         settings = asked
     return documents, settings
 
 
+def _anew(identified: Identified) -> str:
+    """Return what was fitted for another tip than the declared one."""
+    model = identified.model
+    told = ', '.join(
+        f'{name} {identified.parameters[name]:.5g} {parameter.unit}'.removesuffix(' -')
+        for name, parameter in zip(model.names, model.parameters, strict=True)
+    )
+    return f'for this tip of the tool the bags were fitted anew, with {model.name}: {told}'
+
+
 def _study(
     bag: Path,
-    result: Mapping[str, Any],
-    fitted: 'tuple[Model, Mapping[str, Estimate]]',
+    identified: Identified,
     settings: 'ShapeSettings',
     observed: 'Observation | None' = None,
 ) -> 'ShapeStudy':
     """Return what was found in a bag; of its object, where it was taken out of the clouds."""
     from hapticvision_ros.bag.reader import read_trial
-    from hapticvision_ros.core.export import known_values
 
-    model, estimates = fitted
-    parameters = known_values(model, estimates)
     with Progress() as tell:
         tell('reading')
         trial = read_trial(bag)
@@ -363,22 +380,24 @@ def _study(
         from hapticvision_ros.core.segmentation import segment
         from hapticvision_ros.core.surface.study import study_shape
 
-        known = [depth for depth in _depths(result) if depth is not None]
         try:
             phases = segment(trial.force, trial.tool_height, trial.displacement_height)
-            return study_shape(
+            study = study_shape(
                 trial,
                 phases,
-                model,
-                parameters,
+                identified.model,
+                identified.parameters,
                 settings,
-                reference_depth=max(known, default=None),
+                reference_depth=identified.reference_depth,
                 observed=observed,
                 progress=tell,
             )
         except InputError as error:
             # The numerics know no files.
             raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
+    if identified.anew:
+        study = replace(study, warnings=(*study.warnings, _anew(identified)))
+    return study
 
 
 def _depths(result: Mapping[str, Any]) -> list[float | None]:

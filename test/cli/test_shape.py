@@ -21,6 +21,8 @@ import shutil
 
 import cv2
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.cli.tips import ByTip, Identified
+from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.surface.loop import Loop
 from hapticvision_ros.core.surface.study import ShapeSettings
 import pytest
@@ -202,17 +204,20 @@ def test_what_the_loop_accepts_is_what_is_simulated(
         found = replace(found, accepted=not settings.sphere)
         return found, replace(settings, sphere=True)
 
-    def studied(_: Path, __: object, ___: object, settings: ShapeSettings) -> None:
-        used.append(settings.sphere)
+    def studied(_: Path, identified: Identified, settings: ShapeSettings) -> None:
+        used.append((identified.model.name, settings.sphere))
 
     row = dict.fromkeys(('push_speed_m_s', 'depth_m'))
     row |= {key: {'measured': None, 'simulated': None} for key in ('bouncing_m', 'residual_m')}
     monkeypatch.setattr('hapticvision_ros.core.surface.loop.close_loop', closed)
+    chain = {'K1': 1.0, 'C1': 2.0, 'C2': 3.0}
+    growing = Identified(Model(('contact_growth',)), {**chain, 'm': 0.5}, None)
+    monkeypatch.setattr(ByTip, '_other', lambda *_: replace(growing, anew=True))
     monkeypatch.setattr('hapticvision_ros.cli.shape._study', studied)
     monkeypatch.setattr('hapticvision_ros.cli.shape._done', lambda *_: row)
     arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), 'other.mcap', *TOOL]
     assert main([*arguments, '--close-loop', '--out', str(tmp_path / 'out')]) == 0
-    assert used == [True, True]
+    assert used == [('three-element+contact_growth', True)] * 2
     told = json.loads((tmp_path / 'out' / 'shapes.json').read_text())['loop']
     assert [turn['accepted'] for turn in told] == [True, False]
     assert told[0]['misfit_m']['spherical tool'] == [2e-5, 3e-5]
@@ -221,6 +226,8 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     assert '0.200 as declared, 0.025 with what the others choose' in printed
     assert '0.200 as accepted so far' in printed
     assert 'Not accepted' in printed
+    assert 'fitted anew, with three-element+contact_growth: K1 1 N/m' in printed
+    assert printed.count('m 0.5.') == 1
 
 
 def test_a_parameter_that_is_not_known_is_named(
