@@ -55,7 +55,7 @@ _SAFE: Final = 0.85
 _FRESH: Final = 0.03
 _LATER: Final = 0.12
 """Longest step over the relaxation time of a series spring, and over the time that has passed."""
-_DAMPED: Final = 1.5
+_DAMPED: Final = 1.65
 """Largest weight of the end of a step of a series spring; 2 is the trapezoidal rule."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
