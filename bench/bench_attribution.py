@@ -18,30 +18,36 @@ Bench: how often the closed loop names the effect that made the data.
 
 Campaigns come from the simulated world (`hapticvision_ros.sim.campaigns`), whose integrator is its
 own, and are diagnosed without a word of what acts in them. A case is a line of JSON in the file
-`--lines`, so that a long bench can be stopped and taken up again; ``--summary`` makes the tables.
-``OMP_NUM_THREADS=1 python3 bench/bench_attribution.py --lines FILE --seeds 20 --r 0.1 0.3 1`` runs
-the effects; ``--none 400`` campaigns without any; ``--outside`` effects that no library has.
+`--lines`, so that a long bench can be stopped and taken up again.
+``OMP_NUM_THREADS=1 python bench/bench_attribution.py --lines FILE --plan --out PAGE``
+runs `PLAN`, whatever of it is not in the file yet, and renews the tables of a page. Other runs:
+``--seeds 20 --r 0.1 0.3 1`` the effects; ``--none 400`` campaigns without any; ``--outside``
+effects that no library has; ``--summary`` prints the tables of a file.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 import json
 import math
 from multiprocessing import get_context
 from pathlib import Path
+import tempfile
 import time
 import traceback
 from typing import Any
 
+from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.diagnosis.records import Misfits
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import (
@@ -50,13 +56,23 @@ from hapticvision_ros.sim.campaigns import (
     peak_force,
     Push,
     random_campaign,
+    Run,
     run,
     Sensors,
+    write_bags,
 )
+from hapticvision_ros.sim.config import load_config
+from hapticvision_ros.sim.offline import CloudPlan
 from hapticvision_ros.sim.specimen import Body, LIBRARY, OUTSIDE, Undeclared
 from hapticvision_ros.sim.strengths import LinearMisfit, strength_for, undeclared
 import numpy as np
+from page import renew
+from scipy.optimize import minimize_scalar
 
+BEGIN, END = '<!-- tables of bench/bench_attribution.py -->', '<!-- end of the tables -->'
+CLOUD = CloudPlan(80, 60, 3e-4)
+"""Pixels, and the noise of their depth [m], of campaigns with clouds; at this rate [Hz]:"""
+CLOUD_RATE = 5.0
 NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
@@ -94,10 +110,13 @@ def grid_campaign(seed: int, scatter: float) -> Campaign:
     )
 
 
-def make(world: str, seed: int, scatter: float) -> Campaign:
+def make(world: str, seed: int, scatter: float, *, clouds: bool = False) -> Campaign:
     """Return a campaign of one of the worlds."""
     if world == 'grid':
-        return grid_campaign(seed, scatter)
+        campaign = grid_campaign(seed, scatter)
+        if not clouds:
+            return campaign
+        return replace(campaign, sensors=replace(campaign.sensors, height_rate=CLOUD_RATE))
     return random_campaign(seed, scatter=scatter, longest=30.0)
 
 
@@ -183,7 +202,7 @@ def fitted_strength(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, names = task['seed'], task['effects']
-    campaign = make(task['world'], seed, task['scatter'])
+    campaign = make(task['world'], seed, task['scatter'], clouds=task['clouds'])
     shape = float(np.random.default_rng((seed, 5)).uniform())
     result = dict(task)
     acting = list[Undeclared]()
@@ -198,10 +217,12 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
     except (InputError, UsageError, ValueError):
         return {**result, 'skipped': True}
     try:
-        trials = run(campaign, acting, seed=seed).trials
+        done = run(campaign, acting, seed=seed)
+        trials = read_back(done, campaign, seed) if task['clouds'] else done.trials
         start, cpu = time.perf_counter(), time.process_time()
-        segmented = [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials]
-        found = diagnose(segmented)
+        whole = analyse_campaign([analyse(trial) for trial in trials])
+        found = whole.diagnosis
+        assert found is not None
     except Exception:
         return {**result, 'error': traceback.format_exc()}
     body = campaign.body
@@ -218,6 +239,11 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
         'where': list(found.unexplained.where) if found.unexplained else [],
         'before': (found.before.theta[:3] - truth).tolist(),
         'after': (found.after.theta[:3] - truth).tolist(),
+        'held_out': {
+            when: chi2(None if model is None else model.held_out)
+            for when, model in (('before', whole.before), ('after', whole.after))
+        },
+        'ratio': None if whole.change is None else round(whole.change.ratio, 4),
         'warnings': list(found.warnings),
         'trials': len(trials),
         'samples': found.before.samples,
@@ -227,9 +253,40 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
+def read_back(done: Run, campaign: Campaign, seed: int) -> tuple[Trial, ...]:
+    """Return trials as they are read from bags with clouds in the place of heights."""
+    cell = load_config()
+    cell = replace(cell, block=replace(cell.block, height=campaign.surface_height))
+    with tempfile.TemporaryDirectory() as folder:
+        paths = write_bags(done, Path(folder), clouds=(cell, CLOUD), seed=seed)
+        return tuple(read_trial(path) for path in paths)
+
+
+def chi2(misfits: Misfits | None) -> dict[str, float | None]:
+    """Return the mean squared residual over the squared noise, by channel."""
+    total = {} if misfits is None else misfits.total
+    return {
+        channel: None if one.chi2 is None else round(one.chi2, 4) for channel, one in total.items()
+    }
+
+
+PLAN = (
+    '--world random --none 400 --first 50000',
+    '--world random --scatter 0.02 --none 400 --first 34000',
+    '--world grid --seeds 3 --first 300 --r 0.3 1 0.1',
+    '--world grid --seeds 2 --first 300 --r 0.05 0.025 0.0125',
+    '--world grid --scatter 0.02 --seeds 3 --first 600 --r 0.3 1',
+    '--world grid --pairs 20 --seeds 2 --first 500 --r 0.3',
+    '--world grid --outside --seeds 2 --first 100 --r 1',
+    '--world random --seeds 3 --first 42000 --r 1 0.3 0.1',
+    '--world grid --clouds --seeds 1 --first 700 --r 1 0.3',
+)
+"""What the page is made of."""
+
+
 def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the cases that are asked for."""
-    common = {'world': args.world, 'scatter': args.scatter}
+    common = {'world': args.world, 'scatter': args.scatter, 'clouds': args.clouds}
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effects': [], 'r': 0.0}
     names = args.effects or [*(OUTSIDE if args.outside else LIBRARY)]
@@ -248,37 +305,57 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
-    return json.dumps([task[k] for k in ('world', 'scatter', 'seed', 'effects', 'r')])
+    return json.dumps([task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')])
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return what a run, or a part of the plan, is asked for with."""
+    made = argparse.ArgumentParser(description=__doc__)
+    made.add_argument('--lines', type=Path, help='file of the cases')
+    made.add_argument('--world', choices=('grid', 'random'), default='grid')
+    made.add_argument('--scatter', type=float, default=0.0, help='of K1, C1, C2, such as 0.02')
+    made.add_argument('--clouds', action='store_true', help='through bags with clouds (grid)')
+    made.add_argument('--none', type=int, default=0, help='campaigns without an effect')
+    made.add_argument('--seeds', type=int, default=0, help='campaigns an effect')
+    made.add_argument('--first', type=int, default=0, help='first seed')
+    made.add_argument('--r', type=float, nargs='+', default=[0.3])
+    made.add_argument('--effects', nargs='+', default=[])
+    made.add_argument('--outside', action='store_true', help='effects outside the library')
+    made.add_argument('--pairs', type=int, default=0, help='random pairs a seed')
+    made.add_argument('--workers', type=int, default=1)
+    made.add_argument('--plan', action='store_true', help='all that the page is made of')
+    made.add_argument('--part', type=int, nargs='+', help='of the plan, from 0')
+    made.add_argument('--summary', action='store_true', help='tables of the file')
+    made.add_argument('--out', type=Path, help='page whose tables are renewed')
+    return made
 
 
 def main() -> None:
-    """Run the cases that are not in the file yet, or make the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--lines', type=Path, required=True, help='file of the cases')
-    parser.add_argument('--world', choices=('grid', 'random'), default='grid')
-    parser.add_argument('--scatter', type=float, default=0.0, help='of K1, C1, C2, such as 0.02')
-    parser.add_argument('--none', type=int, default=0, help='campaigns without an effect')
-    parser.add_argument('--seeds', type=int, default=0, help='campaigns an effect')
-    parser.add_argument('--first', type=int, default=0, help='first seed')
-    parser.add_argument('--r', type=float, nargs='+', default=[0.3])
-    parser.add_argument('--effects', nargs='+', default=[])
-    parser.add_argument('--outside', action='store_true', help='effects outside the library')
-    parser.add_argument('--pairs', type=int, default=0, help='random pairs a seed')
-    parser.add_argument('--workers', type=int, default=1)
-    parser.add_argument('--summary', action='store_true')
-    args = parser.parse_args()
-    if args.summary:
-        print(summary([json.loads(line) for line in args.lines.read_text().splitlines()]))
-        return
-    done = set()
+    """Run the cases that are not in the file yet, and make the tables."""
+    args = parser().parse_args()
+    if args.lines is None:
+        raise SystemExit('--lines FILE: where are the cases to be kept?')
+    wanted = list(tasks(args))
+    if args.plan:
+        parts = [PLAN[k] for k in args.part] if args.part else PLAN
+        wanted = [task for part in parts for task in tasks(parser().parse_args(part.split()))]
+    results = []
     if args.lines.exists():
-        done = {key(json.loads(line)) for line in args.lines.read_text().splitlines()}
-    todo = [task for task in tasks(args) if key(task) not in done]
-    with get_context('spawn').Pool(args.workers) as pool, args.lines.open('a') as file:
-        for count, result in enumerate(pool.imap_unordered(case, todo), start=1):
-            file.write(json.dumps(result) + '\n')
-            file.flush()
-            print(f'{count}/{len(todo)} {line(result)}', flush=True)
+        results = [json.loads(line) for line in args.lines.read_text().splitlines()]
+    done = {key(result) for result in results}
+    todo = [task for task in wanted if key(task) not in done]
+    if not args.summary and todo:
+        with get_context('spawn').Pool(args.workers) as pool, args.lines.open('a') as file:
+            for count, result in enumerate(pool.imap_unordered(case, todo), start=1):
+                file.write(json.dumps(result) + '\n')
+                file.flush()
+                results.append(result)
+                print(f'{count}/{len(todo)} {line(result)}', flush=True)
+    if args.summary or args.out:
+        text = summary(results)
+        print(text)
+        if args.out:
+            renew(args.out, BEGIN, END, text)
 
 
 def line(result: dict[str, Any]) -> str:
@@ -308,48 +385,161 @@ def right(result: dict[str, Any], most: int = 2) -> bool:
     )
 
 
-def summary(results: list[dict[str, Any]]) -> str:
-    """Return the tables in Markdown."""
-    results = [r for r in results if 'skipped' not in r]
-    failed = [r for r in results if 'error' in r]
-    results = [r for r in results if 'error' not in r]
-    lines = [f'{len(results)} campaigns, {len(failed)} failures.', '']
-    lines += [
-        '| world | scatter | effects | r | n | right (set of at most 2) | detected | single names '
-        'right / given | median size of set | bias of K1, C1, C2 before -> after | median time |',
-        '| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |',
+def kind(result: dict[str, Any]) -> str:
+    """Return what sort of campaign it is."""
+    if not result['effects']:
+        return 'none'
+    if set(result['effects']) <= set(OUTSIDE):
+        return 'outside'
+    return 'pair' if len(result['effects']) > 1 else 'one'
+
+
+def percent(flags: Iterable[bool]) -> str:
+    """Return how many are true."""
+    listed = list(flags)
+    return f'{100.0 * sum(listed) / len(listed):.0f} % ({sum(listed)} of {len(listed)})'
+
+
+def median(values: Iterable[float | None], form: str) -> str:
+    """Return the median of what is known."""
+    known = [value for value in values if value is not None]
+    return format(float(np.median(known)), form) if known else '-'
+
+
+def rates(results: list[dict[str, Any]]) -> list[str]:
+    """Return a row for each kind of campaign."""
+    rows = [
+        '| world | campaigns | r | right, alone or in a set of two | in a set | something found '
+        '| single names right | K1, C1, C2 off, before and after | held-out chi2 of the force, '
+        'before and after | of the height | CPU time |',
+        '| --- ' * 11 + '|',
     ]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for r in results:
-        kind = (
-            'none'
-            if not r['effects']
-            else (
-                'outside'
-                if set(r['effects']) <= set(OUTSIDE)
-                else ('pair' if len(r['effects']) > 1 else 'one')
+        groups.setdefault((r['world'], r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
+    for (world, clouds, scatter, what, size), of in sorted(groups.items()):
+        singles = [each[0] in r['effects'] for r in of for each in r['sets'] if len(each) == 1]
+        named = bool(singles) and what in ('one', 'pair')
+        good = [r for r in of if what in ('one', 'pair') and right(r)]
+        cells = [
+            f'{world}{", clouds" if clouds else ""}{f", scatter {scatter:g}" if scatter else ""}',
+            what,
+            f'{size:g}' if what != 'none' else '-',
+            percent(right(r) for r in of),
+            percent(right(r, 20) for r in of) if what in ('one', 'pair') else '-',
+            percent(r['status'] != 'none' for r in of),
+            percent(singles) if named else '-',
+            ' to '.join(
+                median((100 * max(map(abs, r[when])) for r in good), '.1f')
+                for when in ('before', 'after')
             )
-        )
-        groups.setdefault((r['world'], r['scatter'], kind, r['r']), []).append(r)
-        if kind in ('one', 'outside'):
-            groups.setdefault(
-                (r['world'], r['scatter'], f'{kind}: {r["effects"][0]}', r['r']), []
-            ).append(r)
-    for head, of in sorted(groups.items(), key=lambda item: tuple(map(str, item[0]))):
-        singles = [(r, each[0]) for r in of for each in r['sets'] if len(each) == 1]
-        good = sum(name in r['effects'] for r, name in singles)
-        before = 100 * float(np.median([np.abs(r['before']).max() for r in of]))
-        after = 100 * float(np.median([np.abs(r['after']).max() for r in of]))
-        sizes = [len(each) for r in of for each in r['sets']]
-        lines.append(
-            f'| {head[0]} | {head[1]:g} | {head[2]} | {head[3]:g} | {len(of)} '
-            f'| {100 * np.mean([right(r) for r in of]):.0f} % '
-            f'| {100 * np.mean([r["status"] != "none" for r in of]):.0f} % '
-            f'| {good} / {len(singles)} '
-            f'| {np.median(sizes) if sizes else 0:g} | {before:.1f} -> {after:.1f} % '
-            f'| {np.median([r["seconds"] for r in of]):.1f} s |'
-        )
-    return '\n'.join(lines)
+            + ' %',
+            *(
+                ' to '.join(
+                    median((r['held_out'][when].get(channel) for r in good), '.2f')
+                    for when in ('before', 'after')
+                )
+                for channel in ('force', 'height')
+            ),
+            median((r['cpu'] for r in of), '.1f') + ' s',
+        ]
+        rows.append(f'| {" | ".join(cells if good else [*cells[:7], "-", "-", "-", cells[10]])} |')
+    return rows
+
+
+def confusion(results: list[dict[str, Any]], r: float) -> list[str]:
+    """Return a row for each acting effect: how often it is named, and what is named instead."""
+    rows = [
+        f'| acting (r = {r:g}) | campaigns | alone | in a set of two | in a larger set | nothing '
+        'named | other names given alone |',
+        '| --- ' * 7 + '|',
+    ]
+    for name in LIBRARY:
+        of = [each for each in results if each['effects'] == [name] and each['r'] == r]
+        sizes = [
+            min((len(s) for s in each['sets'] if name in s), default=0 if each['sets'] else -1)
+            for each in of
+        ]
+        others = Counter(s[0] for each in of for s in each['sets'] if len(s) == 1 and s[0] != name)
+        told = ', '.join(f'{other} {count}' for other, count in others.most_common()) or '-'
+        cells = [
+            sizes.count(1),
+            sizes.count(2),
+            sum(size > 2 for size in sizes),
+            sizes.count(-1),
+        ]
+        if of:
+            rows.append(f'| {name} | {len(of)} | {" | ".join(map(str, cells))} | {told} |')
+    return rows
+
+
+def threshold(found: Sequence[tuple[float, bool]]) -> str:
+    """Return the r at which half are found, by a logistic curve in its logarithm."""
+    r, hit = (np.array(one, dtype=float) for one in zip(*found, strict=True))
+    if hit.all():
+        return f'below {r.min():.3g}'
+    if not hit.any():
+        return f'above {r.max():.3g}'
+
+    def cost(middle: float) -> float:
+        rise = (np.log(r) - middle) / STEEP
+        return float(np.sum(np.logaddexp(0.0, np.where(hit > 0.5, -rise, rise))))
+
+    bounds = (math.log(0.5 * r.min()), math.log(2.0 * r.max()))
+    return f'{math.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x):.3f}'
+
+
+STEEP = 0.25
+"""Scale of that curve: from an eighth to seven eighths are found in a factor of 2.6 of r."""
+
+
+def thresholds(results: list[dict[str, Any]]) -> list[str]:
+    """Return a row for each effect: from which misfit on it is found, and named."""
+    rows = [
+        '| acting | campaigns | half are found at r = | half are named, alone or in a set of two, '
+        'at r = |',
+        '| --- | --- | --- | --- |',
+    ]
+    meant: tuple[Callable[[dict[str, Any]], bool], ...] = (
+        lambda each: bool(each['status'] != 'none'),
+        right,
+    )
+    for name in LIBRARY:
+        of = [each for each in results if each['effects'] == [name]]
+        if of:
+            cells = [threshold([(each['r'], one(each)) for each in of]) for one in meant]
+            rows.append(f'| {name} | {len(of)} | {" | ".join(cells)} |')
+    return rows
+
+
+def outside(results: list[dict[str, Any]]) -> list[str]:
+    """Return a row for each effect that no library has."""
+    rows = ['| acting | answers | named | look-alikes |', '| --- | --- | --- | --- |']
+    for name in OUTSIDE:
+        of = [each for each in results if each['effects'] == [name]]
+        if of:
+            answers = Counter(each['status'] for each in of)
+            named = Counter(s[0] for each in of for s in each['sets'])
+            alike = Counter(f'{b} for {a}' for each in of for a, b, _ in each['look_alikes'])
+            told = (', '.join(f'{k} {n}' for k, n in one.items()) for one in (answers, named))
+            rows.append(f'| {name} | {" | ".join(told)} | {", ".join(alike) or "-"} |')
+    return rows
+
+
+def summary(results: list[dict[str, Any]]) -> str:
+    """Return the tables in Markdown."""
+    failed = sum('error' in r for r in results)
+    results = [r for r in results if 'skipped' not in r and 'error' not in r]
+    plain = [r for r in results if r['world'] == 'grid' and not r['scatter'] and not r['clouds']]
+    parts = [[f'{len(results)} campaigns, {failed} failures.'], rates(results)]
+    parts += [
+        confusion(plain, r) for r in (0.1, 0.3, 1.0) if any(each['r'] == r for each in plain)
+    ]
+    if any(kind(r) == 'one' for r in plain):
+        parts.append(thresholds(plain))
+    if any(kind(r) == 'outside' for r in plain):
+        parts.append(outside(plain))
+    return '\n\n'.join('\n'.join(part) for part in parts) + '\n'
 
 
 if __name__ == '__main__':
