@@ -374,9 +374,15 @@ def line(result: dict[str, Any]) -> str:
 
 
 def right(result: dict[str, Any], most: int = 2) -> bool:
-    """Whether a case came out right: each effect in a set of at most `most`, or none found."""
+    """
+    Whether a case came out right: each effect in a set of at most `most`, or none found.
+
+    An effect that the answer lists as not testable is told where nothing else is named for it.
+    """
     if not result['effects']:
         return bool(result['status'] == 'none')
+    if set(result['effects']) <= set(result['not_testable']):
+        return not result['sets']
     if set(result['effects']) <= set(OUTSIDE):
         return result['status'] in ('unexplained', 'partly_explained')
     return all(
@@ -451,22 +457,20 @@ def confusion(results: list[dict[str, Any]], r: float) -> list[str]:
     """Return a row for each acting effect: how often it is named, and what is named instead."""
     rows = [
         f'| acting (r = {r:g}) | campaigns | alone | in a set of two | in a larger set | nothing '
-        'named | other names given alone |',
-        '| --- ' * 7 + '|',
+        'named, as not testable | nothing named otherwise | other names given alone |',
+        '| --- ' * 8 + '|',
     ]
     for name in LIBRARY:
         of = [each for each in results if each['effects'] == [name] and each['r'] == r]
-        sizes = [
-            min((len(s) for s in each['sets'] if name in s), default=0 if each['sets'] else -1)
-            for each in of
-        ]
+        sizes = [min((len(s) for s in each['sets'] if name in s), default=0) for each in of]
         others = Counter(s[0] for each in of for s in each['sets'] if len(s) == 1 and s[0] != name)
         told = ', '.join(f'{other} {count}' for other, count in others.most_common()) or '-'
         cells = [
             sizes.count(1),
             sizes.count(2),
             sum(size > 2 for size in sizes),
-            sizes.count(-1),
+            sum(not each['sets'] and name in each['not_testable'] for each in of),
+            sum(not each['sets'] and name not in each['not_testable'] for each in of),
         ]
         if of:
             rows.append(f'| {name} | {len(of)} | {" | ".join(map(str, cells))} | {told} |')
