@@ -319,6 +319,10 @@ class Experiment:
     experiment is aborted. A peer that does not answer in time before a push, and a disk that
     cannot be written, abort the experiment at once. Whatever was recorded until then is kept.
 
+    Where somebody has taken back the permission to move (the emergency stop, a controller that
+    was disabled or deactivated) the experiment is aborted, and nothing moves any more for its
+    sake: who releases the stop does not expect the arm to go on.
+
     A goal with a budget goes on after its grid: each `ANALYSE` is answered by `found`, which adds
     a trial or ends the experiment, or by `analysis_failed`, which aborts it.
 
@@ -377,6 +381,7 @@ class Experiment:
         # Whether the tool may be low: also where the arm has said "aborted", since it may have
         # lost its height, or its controller was ended.
         self._low = False
+        self._forbidden = False
         self._then: Step | None = None
         self._step = Step.BRING_UP
         self.entered = now
@@ -395,11 +400,6 @@ class Experiment:
     def failing(self) -> bool:
         """Whether the trial at hand is already known to be of no use."""
         return self._trial_failed
-
-    @property
-    def leaving(self) -> bool:
-        """Whether the trials are over and only the tool has to be seen to."""
-        return self._then is Step.DISABLE
 
     @property
     def shaken(self) -> bool:
@@ -474,6 +474,25 @@ class Experiment:
             self._end(now)
         else:
             self._enter(Step.DISABLE, now)
+
+    def forbidden(self, reason: str, now: float) -> None:
+        """
+        Take note that somebody has forbidden motion: the experiment is aborted where it stands.
+
+        Parameters
+        ----------
+        reason : str
+            One sentence.
+        now : float
+            Time [s].
+
+        """
+        if self._forbidden or self.status.terminal:
+            return
+        self._forbidden = True
+        self.reason = self.reason or reason
+        if self._step is not Step.DISABLE:
+            self.failed(reason, now)
 
     def lost(self, reason: str, now: float) -> None:
         """
@@ -672,9 +691,10 @@ class Experiment:
         self._return(Step.DISABLE, now)
 
     def _return(self, then: Step, now: float) -> None:
-        """Go to a step, by a retraction if the tool may have been left low."""
-        self._then = then if self._low else None
-        self._enter(Step.BRING_UP if self._low else then, now)
+        """Go to a step, by a retraction if the tool may have been left low and may be moved."""
+        retract = self._low and not self._forbidden
+        self._then = then if retract else None
+        self._enter(Step.BRING_UP if retract else then, now)
 
     def _fail_trial(self, reason: str) -> None:
         """Mark the trial at hand; its first reason stands."""

@@ -31,6 +31,17 @@ type PushPhase = Literal['approach', 'push', 'hold', 'release', 'recover', 'done
 
 NO_PUSH: Final = 'No push is running.'
 """What is answered to a stop when there is nothing to stop."""
+NOT_ALLOWED: Final = 'Motion is forbidden: call the enable service first.'
+"""What is answered where nobody has allowed motion since the controller was started."""
+EMERGENCY: Final = 'The emergency stop is pressed: release it first.'
+FORBIDDEN: Final = 'Motion was forbidden: '
+"""How an answer begins where somebody has taken the permission back."""
+STOPPED_BY_HAND: Final = 'The emergency stop was pressed.'
+DISABLED: Final = 'The controller was disabled.'
+DEACTIVATED: Final = 'The controller was deactivated.'
+SHUT_DOWN: Final = 'The controller was shut down.'
+TAKEN_BACK: Final = (STOPPED_BY_HAND, DISABLED, DEACTIVATED, SHUT_DOWN)
+"""Why a push was aborted where somebody has forbidden motion: who did has to allow it again."""
 
 TOUCH_READINGS: Final = 2
 """Readings in a row above the touch force that count as touch: one may be a glitch."""

@@ -23,6 +23,7 @@ at its own fixed rate. A back end's `read` and `command` are therefore called fr
 """
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from math import isfinite
 import threading
@@ -48,15 +49,22 @@ from hapticvision_ros.core.devices import Arm
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError, InputError
 from hapticvision_ros.core.push_control import (
     Command,
+    DEACTIVATED,
+    DISABLED,
+    EMERGENCY,
+    FORBIDDEN,
     hold_mode,
     HOLD_MODES,
     MeasuredTime,
     NO_PUSH,
+    NOT_ALLOWED,
     PushControl,
     PushGoal,
     PushLimits,
     PushReport,
     Reading,
+    SHUT_DOWN,
+    STOPPED_BY_HAND,
 )
 from hapticvision_ros.nodes.arm_backends import ARM_PARAMETERS, connect
 from hapticvision_ros.nodes.conversions import (
@@ -339,6 +347,7 @@ class ArmPushController(ManagedCellNode):
         self._period = 1.0 / values.real('control_rate')
         self._active = False
         self._enabled = False
+        self._forbidden = ''
         self._emergency = False
         self._force_time, self._tool_time = MeasuredTime(), MeasuredTime()
         self._force: Reading | None = None
@@ -437,7 +446,7 @@ class ArmPushController(ManagedCellNode):
 
     def on_deactivate(self, state: Any) -> Any:
         """Stop and retract; the control thread sees to it."""
-        self._forbid('The controller was deactivated.')
+        self._forbid(DEACTIVATED)
         self._active = False
         return TransitionCallbackReturn.SUCCESS
 
@@ -451,7 +460,7 @@ class ArmPushController(ManagedCellNode):
 
     def on_shutdown(self, state: Any) -> Any:
         """End the node."""
-        self._forbid('The controller was shut down.')
+        self._forbid(SHUT_DOWN)
         self._active = False
         self.stopping.set()
         return TransitionCallbackReturn.SUCCESS
@@ -560,7 +569,7 @@ class ArmPushController(ManagedCellNode):
             self.get_logger().error('Emergency stop.')
         self._emergency = bool(message.data)
         if self._emergency:
-            self._forbid('The emergency stop was pressed.')
+            self._forbid(STOPPED_BY_HAND)
 
     def _check_change(self, changes: Any) -> str | None:
         if self._control is not None:
@@ -570,6 +579,7 @@ class ArmPushController(ManagedCellNode):
     def _forbid(self, reason: str) -> None:
         """Stop what moves, and let nothing move until it is allowed again."""
         self._enabled = False
+        self._forbidden = reason
         self._stop_reason = reason
         self._urgent.set()
 
@@ -580,7 +590,7 @@ class ArmPushController(ManagedCellNode):
             response.success = not refusal
             response.message = refusal or 'Motion is allowed.'
             return response
-        self._forbid('The controller was disabled.')
+        self._forbid(DISABLED)
         response.success = True
         response.message = 'Motion is forbidden.'
         return response
@@ -590,7 +600,7 @@ class ArmPushController(ManagedCellNode):
         if not self._active:
             return 'The controller is not active: configure and activate it first.'
         if self._emergency:
-            return 'The emergency stop is pressed: release it first.'
+            return EMERGENCY
         return ''
 
     def _on_stop(self, request: Any, response: Any) -> Any:
@@ -629,7 +639,7 @@ class ArmPushController(ManagedCellNode):
         if refusal:
             raise InputError(refusal)
         if not self._enabled:
-            raise InputError('Motion is forbidden: call the enable service first.')
+            raise InputError(f'{FORBIDDEN}{self._forbidden}' if self._forbidden else NOT_ALLOWED)
         tool = self._tool
         stale = self._limits.stale_time
         if tool is None or now - tool.t > stale:
@@ -719,6 +729,16 @@ class ArmPushController(ManagedCellNode):
         """Run one push to its end, at the control rate by absolute time."""
         arm = self._arm
         assert arm is not None
+        try:
+            self._control_arm(control, arm)
+        finally:
+            # However the loop was left: the arm would go on with what it was told last.
+            with suppress(DeviceError, OSError):
+                arm.command(0.0)
+        if control.reason is not None:
+            self.get_logger().warning(f'The push was aborted: {control.reason}')
+
+    def _control_arm(self, control: PushControl, arm: Arm) -> None:
         self._late_cycles = 0
         due = time.monotonic()
         while not (control.finished or self.stopping.is_set()):
@@ -742,8 +762,6 @@ class ArmPushController(ManagedCellNode):
                 # does not put off the next one.
                 due = max(due + self._period, now)
             self._urgent.wait(max(0.0, due - time.monotonic()))
-        if control.reason is not None:
-            self.get_logger().warning(f'The push was aborted: {control.reason}')
 
     def _tell(self, report: PushReport) -> None:
         self._last_report = report
@@ -767,7 +785,7 @@ class ArmPushController(ManagedCellNode):
             **({} if report is None else report_values(report)),
         }
         if self._emergency:
-            return Finding(Level.ERROR, 'The emergency stop is pressed.', values)
+            return Finding(Level.ERROR, EMERGENCY, values)
         if not self._active:
             return Finding(Level.WARN, self._trouble or 'The controller is not active.', values)
         if report is not None and report.reason is not None:

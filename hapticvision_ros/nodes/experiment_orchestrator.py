@@ -22,7 +22,7 @@ something fails is told in `hapticvision_ros.core.experiment.Experiment`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import partial
 import json
 from pathlib import Path
@@ -36,6 +36,7 @@ from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
+    EMERGENCY_STOP,
     ENABLE,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
@@ -45,6 +46,7 @@ from hapticvision_ros.bag.contract import (
     PLAN,
     PUSH,
     PUSH_REPORT,
+    Qos,
     RESET,
     RETRACT,
     Service,
@@ -69,11 +71,16 @@ from hapticvision_ros.core.experiment import (
 )
 from hapticvision_ros.core.push_control import (
     check_goal,
+    EMERGENCY,
+    FORBIDDEN,
     hold_mode,
     HOLD_MODES,
     NO_PUSH,
+    NOT_ALLOWED,
     PushGoal,
     PushLimits,
+    STOPPED_BY_HAND,
+    TAKEN_BACK,
 )
 from hapticvision_ros.nodes.campaign_analysis import CampaignAnalysis
 from hapticvision_ros.nodes.conversions import (
@@ -385,6 +392,8 @@ class ExperimentOrchestrator(CellNode):
         self._recording: Recording | None = None
         self._call: _Call | None = None
         self._asked: tuple[Service, Any] = (STOP, None)
+        self._owed: tuple[Service, Any] | None = None
+        self._emergency = False
         self._ask_again_at = 0.0
         self._sample: _NewSample | None = None
         self._cell: Cell | None = None
@@ -414,6 +423,9 @@ class ExperimentOrchestrator(CellNode):
         self._room_seen = 0.0
         self._push_report: Any = None
         create_subscription(self, PUSH_REPORT, self._on_push_report)
+        # As the arm's controller hears it: what was said before, and publishers of any kind.
+        for topic in (EMERGENCY_STOP, replace(EMERGENCY_STOP, qos=Qos())):
+            create_subscription(self, topic, self._on_emergency_stop)
         self._began = time.monotonic()
         self._beaten = 0.0
         self._heartbeat = create_publisher(self, HEARTBEAT)
@@ -466,6 +478,10 @@ class ExperimentOrchestrator(CellNode):
         response.success = False
         if self._experiment is not None and not self._experiment.status.terminal:
             response.message = f'goal {self._goal_id()} is running: cancel it first.'
+            return response
+        if self._emergency:
+            # Else the arm would move on its own as soon as the stop is released.
+            response.message = EMERGENCY
             return response
         values = self.parameters
         try:
@@ -627,7 +643,10 @@ class ExperimentOrchestrator(CellNode):
                 experiment.waiting_for = f'the parameters of {ARM_NODE}'
                 self._call = _Call(self._configure, _set_request(values))
             case Step.ENABLE:
-                self._ask(ENABLE, SetBool.Request(data=True))
+                # Whoever starts a goal allows its motion. Later it is not allowed again: somebody
+                # may have forbidden it meanwhile.
+                if not experiment.outcomes:
+                    self._ask(ENABLE, SetBool.Request(data=True))
             case Step.RECORD:
                 experiment.waiting_for = 'the bag to be opened'
                 self._recording = Recording(
@@ -674,6 +693,8 @@ class ExperimentOrchestrator(CellNode):
                 self._bring_up(experiment, now)
             case Step.CHECK:
                 self._check_limits(experiment, now)
+            case Step.ENABLE if experiment.outcomes:
+                experiment.done(now)
             case Step.RETRACT if not experiment.shaken:
                 experiment.done(now)
             case Step.PLAN | Step.TARE | Step.ENABLE | Step.RETRACT:
@@ -712,7 +733,7 @@ class ExperimentOrchestrator(CellNode):
         assert self._experiment is not None
         self._experiment.waiting_for = f'an answer of {service.name}: see whether its node runs'
         self._call = _Call(self._servers[service.name], request, patience)
-        self._asked = (service, request)
+        self._asked, self._owed = (service, request), None
 
     def _look_at_arm(self, experiment: Experiment) -> None:
         experiment.waiting_for = f'{ARM_NODE}: see whether it runs'
@@ -845,6 +866,11 @@ class ExperimentOrchestrator(CellNode):
     def _on_push_report(self, message: Any) -> None:
         self._push_report = message
 
+    def _on_emergency_stop(self, message: Any) -> None:
+        self._emergency = bool(message.data)
+        if self._emergency and self._experiment is not None:
+            self._experiment.forbidden(STOPPED_BY_HAND, time.monotonic())
+
     def _drop_call(self) -> None:
         if self._call is not None:
             self._call.drop()
@@ -873,12 +899,21 @@ class ExperimentOrchestrator(CellNode):
         answer = self._call.answer()
         if answer is None:
             return
+        if answer.success and self._owed is not None:
+            self._ask(*self._owed)
+            return
         if answer.success:
             then(now)
             return
-        if experiment.leaving and service is ENABLE:
-            # The emergency stop is pressed: whoever releases it sees to the tool.
-            experiment.failed(answer.message, now)
+        if answer.message == EMERGENCY or answer.message.startswith(FORBIDDEN):
+            # Whoever has forbidden it, or releases the stop, sees to the tool.
+            experiment.forbidden(answer.message, now)
+            return
+        if answer.message == NOT_ALLOWED and service in (RETRACT, PUSH):
+            # The controller has been started anew: what was allowed to the one before it goes on.
+            owed = self._asked
+            self._ask(ENABLE, SetBool.Request(data=True))
+            self._owed = owed
             return
         self._drop_call()
         self._ask_again_at = now + self.parameters.real('retry_period')
@@ -943,6 +978,8 @@ class ExperimentOrchestrator(CellNode):
             return
         if report is not None:
             experiment.explain(report.message)
+            if report.message in TAKEN_BACK:
+                experiment.forbidden(report.message, now)
         missing = missing_topics(recording.counts)
         usable = not (missing or experiment.failing or recording.error)
         outcome = Outcome.COMPLETE if usable else Outcome.INCOMPLETE

@@ -279,8 +279,7 @@ def test_a_cancel_in_mid_push_stops_the_arm_and_keeps_the_bag():
     experiment.phase('aborted', 0.1)
     assert experiment.step is Step.FINISH
     experiment.recorded('/bags/a', (), 0.2)
-    assert experiment.leaving
-    advance(experiment, Step.DISABLE, 0.3)
+    assert Step.RETRACT in steps_until(experiment, Step.DISABLE, 0.3)
     experiment.done(0.3)
     assert experiment.status is GoalStatus.CANCELED
     assert [item.outcome for item in experiment.outcomes] == [Outcome.ABORTED]
@@ -536,4 +535,40 @@ def test_without_a_complete_trial_there_is_nothing_to_analyse():
     experiment = begun(push_speeds=(0.001,), depths=(0.005,), budget=Budget(2))
     push(experiment, 'aborted')
     assert experiment.step is not Step.ANALYSE
-    assert experiment.leaving
+    assert Step.ANALYSE not in steps_until(experiment, Step.DISABLE, 0.0)
+
+
+@pytest.mark.parametrize('step', [Step.BRING_UP, Step.TARE, Step.RECORD, Step.PUSH, Step.STOP])
+def test_nothing_moves_any_more_once_somebody_has_forbidden_it(step):
+    """The emergency stop in the second trial, whatever the experiment is doing."""
+    experiment = begun()
+    push(experiment)
+    experiment.tick(1.0)
+    advance(experiment, Step.PUSH if step is Step.STOP else step, 1.0)
+    if step is Step.STOP:
+        experiment.lost('silent', 1.1)
+    experiment.forbidden('The emergency stop was pressed.', 1.2)
+    experiment.forbidden('The controller was disabled.', 1.2)
+    if step in (Step.PUSH, Step.STOP):
+        experiment.phase('aborted', 1.3)
+    if step in (Step.RECORD, Step.PUSH, Step.STOP):
+        advance(experiment, Step.FINISH, 1.3)
+        experiment.recorded('/bags/b', (), 1.4)
+    assert experiment.step is Step.DISABLE
+    experiment.done(1.5)
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.reason.startswith('The emergency stop was pressed')
+    assert ('left low' in experiment.reason) == (step in (Step.PUSH, Step.STOP))
+
+
+def test_a_stop_after_a_failed_trial_leaves_the_tool_where_it_is():
+    experiment = begun()
+    push(experiment, 'aborted')
+    experiment.tick(1.0)
+    advance(experiment, Step.RETRACT, 1.0)
+    experiment.forbidden('The emergency stop was pressed.', 1.2)
+    assert experiment.step is Step.DISABLE
+    experiment.done(1.5)
+    assert 'left low' in experiment.reason
+    experiment.forbidden('The controller was disabled.', 1.6)
+    assert experiment.status is GoalStatus.ABORTED

@@ -31,11 +31,13 @@ from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
+    ENABLE,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
     PHASE,
     POINTS,
+    PUSH,
     RHEOLOGY_RESULT,
     START_EXPERIMENT,
     STOP,
@@ -54,7 +56,8 @@ from hapticvision_ros.nodes.experiment_orchestrator import (
 )
 import numpy as np
 import pytest
-from std_srvs.srv import Trigger
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 
 START = 120.0
 """Seven processes start on a machine that may have two processors [s]."""
@@ -198,6 +201,55 @@ def test_a_cancelled_push_keeps_its_bag_and_says_so(cell, probe, until):
     assert len(read_trial(bag).force) > 10
     late = probe.call(CANCEL_EXPERIMENT, CancelGoal.Request())
     assert late.return_code == CancelGoal.Response.ERROR_REJECTED
+
+
+def test_after_an_emergency_stop_nothing_moves_until_somebody_starts_anew(cell, probe, until):
+    results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
+    button = probe.node.create_publisher(Bool, 'emergency_stop', 1)
+    goal = {'repeats': 3, 'hold_time': 60.0, 'rest_time': 0.1}
+    answers = probe.set_parameters('experiment_orchestrator', goal)
+    assert all(answer.successful for answer in answers), answers
+    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+    until(
+        lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
+    )
+    assert not results, values_from_status(results[-1])
+    button.publish(Bool(data=True))
+    until(lambda: phases[-1].data == 'aborted', 'the end of the push')
+    refused = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    assert not refused.success
+    # Released at once: the experiment has not forgotten it.
+    button.publish(Bool(data=False))
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert (values['status'], values['trials']) == ('ABORTED', '3')
+    assert results[-1].message.startswith('The emergency stop was pressed')
+    assert 'outcome 2' not in values
+    assert 'forbidden' in probe.call(PUSH, Trigger.Request()).message
+
+
+def test_an_experiment_does_not_allow_what_somebody_has_forbidden(cell, probe, until):
+    """The controller is disabled by hand between two trials."""
+    results, feedback = probe.listen(EXPERIMENT_RESULT), probe.listen(EXPERIMENT_FEEDBACK)
+    phases = probe.listen(PHASE)
+    goal = {'repeats': 2, 'hold_time': 0.5, 'recover_time': 0.5, 'rest_time': 3.0}
+    answers = probe.set_parameters('experiment_orchestrator', goal)
+    assert all(answer.successful for answer in answers), answers
+    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+    until(
+        lambda: any(values_from_status(item)['step'] == 'rest' for item in feedback) or results,
+        'the rest or an end',
+        SLOW,
+    )
+    assert not results, values_from_status(results[-1])
+    assert probe.call(ENABLE, SetBool.Request(data=False)).success
+    phases.clear()
+    until(lambda: results, 'the result', SLOW)
+    values = values_from_status(results[-1])
+    assert values['status'] == 'ABORTED'
+    assert values['outcome 1'] == 'complete'
+    assert 'The controller was disabled' in results[-1].message
+    assert not phases, 'no second push was begun'
 
 
 def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
