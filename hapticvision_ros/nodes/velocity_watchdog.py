@@ -18,7 +18,9 @@ Velocity watchdog: stands before a velocity controller that has no watchdog of i
 A forward velocity controller of ros2_control goes on with the last command for ever. This node, a
 process of its own, passes commands on, and sends zero when none has come for a short time: also
 when the arm push controller was killed, or hangs. It knows nothing of the cell, so that little can
-go wrong with it; against a machine that stands still as a whole only the arm's own stop helps.
+go wrong with it; against a machine that stands still as a whole only the arm's own stop helps. One
+that takes the place of a watchdog that died stops the joints first: they may still move by the
+last command that was passed on.
 """
 
 from math import isfinite
@@ -48,6 +50,15 @@ PARAMETERS: Final = (
         'string',
         '-',
         'Where they go: the commands of the forward velocity controller.',
+        read_only=True,
+    ),
+    ParameterSpec(
+        'joints',
+        'integer',
+        '-',
+        'Velocities in a command of the controller; a command of another length is refused.',
+        1,
+        64,
         read_only=True,
     ),
     ParameterSpec(
@@ -85,7 +96,7 @@ class VelocityWatchdog(CellNode):
             raise InputError('input_topic and output_topic have to be two different topics.')
         self._timeout = values.real('timeout')
         self._largest = values.real('largest_velocity')
-        self._joints = 0
+        self._joints = values.integer('joints')
         self._stopped = self._refused = 0
         self._moving = False
         self._publisher = self.create_publisher(Float64MultiArray, topics[1], _DEPTH)
@@ -100,7 +111,12 @@ class VelocityWatchdog(CellNode):
 
     def _watch(self) -> None:
         heard = time.monotonic()
+        told = False
         while not self.stopping.is_set():
+            if not told and self._publisher.get_subscription_count():
+                # Whoever was told to move by a watchdog that died would go on for ever.
+                self._stop()
+                told = True
             if self._commands.wait(self._timeout / 4.0):
                 for message, _, _ in self._commands.take():
                     heard = time.monotonic()
@@ -112,12 +128,13 @@ class VelocityWatchdog(CellNode):
 
     def _pass(self, message: Any) -> None:
         velocities = list(message.data)
-        self._joints = max(self._joints, len(velocities))
-        if any(not isfinite(item) or abs(item) > self._largest for item in velocities):
+        bad = any(not isfinite(item) or abs(item) > self._largest for item in velocities)
+        if bad or len(velocities) != self._joints:
             self._refused += 1
             self._stop()
             self.get_logger().warning(
-                'A command was no number or beyond largest_velocity: the joints are stopped.',
+                'A command was no number, beyond largest_velocity, or not of as many velocities '
+                f'as joints says ({self._joints}): the joints are stopped.',
                 throttle_duration_sec=1.0,
             )
             return
@@ -126,8 +143,7 @@ class VelocityWatchdog(CellNode):
 
     def _stop(self) -> None:
         self._moving = False
-        if self._joints:
-            self._publisher.publish(Float64MultiArray(data=[0.0] * self._joints))
+        self._publisher.publish(Float64MultiArray(data=[0.0] * self._joints))
 
     def _find(self) -> Finding:
         """Return what the watchdog had to do."""

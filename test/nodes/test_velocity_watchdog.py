@@ -46,6 +46,8 @@ class Arm:
         )
         until(self.commands.get_subscription_count, 'the watchdog')
         until(lambda: probe.node.count_publishers('/joints'), 'its output')
+        until(lambda: self.heard, 'the stop at its start')
+        assert not any(self.heard.pop()[1])
 
     def send(self, *velocities):
         self.commands.publish(Float64MultiArray(data=list(velocities)))
@@ -62,7 +64,7 @@ class Arm:
 
 @pytest.fixture
 def arm(start_node, probe, until):
-    start_node(NAME, {**TOPICS, 'timeout': TIMEOUT})
+    start_node(NAME, {**TOPICS, 'timeout': TIMEOUT, 'joints': 2})
     return Arm(probe, until)
 
 
@@ -91,19 +93,32 @@ def test_commands_pass_and_silence_stops_the_joints(arm, until):
     assert [item for _, item in arm.heard[count:]] == [[0.0, 0.0]]
 
 
-@pytest.mark.parametrize('bad', [float('nan'), float('inf'), 5.0])
+@pytest.mark.parametrize('bad', [(0.01, float('nan')), (0.01, float('inf')), (0.01, 5.0), (0.01,)])
 def test_a_command_that_cannot_be_stops_the_joints(arm, until, bad):
     arm.send_until_heard(0.01, 0.0)
-    arm.send(0.01, bad)
+    arm.send(*bad)
     until(lambda: arm.heard[-1][1] == [0.0, 0.0], 'the stop')
     assert all(abs(item) <= 0.1 for _, data in arm.heard for item in data)
 
 
 def test_the_watchdog_that_is_stopped_stops_the_joints(start_node, probe, until):
-    watchdog = start_node(NAME, {**TOPICS, 'timeout': 1.0})
+    watchdog = start_node(NAME, {**TOPICS, 'timeout': 1.0, 'joints': 1})
     arm = Arm(probe, until)
     arm.send_until_heard(0.01)
     assert watchdog.stop(signal.SIGTERM) == 0
+    until(lambda: arm.heard[-1][1] == [0.0], 'the stop')
+
+
+def test_a_watchdog_that_takes_the_place_of_one_that_died_stops_the_joints(
+    start_node, probe, until
+):
+    options = {**TOPICS, 'timeout': 1.0, 'joints': 1}
+    watchdog = start_node(NAME, options)
+    arm = Arm(probe, until)
+    arm.send_until_heard(0.01)
+    watchdog.stop(signal.SIGKILL)
+    assert arm.heard[-1][1] == [0.01], 'nobody has stopped them'
+    start_node(NAME, options)
     until(lambda: arm.heard[-1][1] == [0.0], 'the stop')
 
 
