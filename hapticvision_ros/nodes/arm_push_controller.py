@@ -507,7 +507,7 @@ class ArmPushController(ManagedCellNode):
             self.get_logger().warning(
                 f'A push was left to itself {age:.0f} s ago: the tool may be low.'
             )
-            self._record.remove()
+            self._end_left_push()
             return
         self._takeover_end = time.monotonic() + limit
         self._takeover = self.create_timer(
@@ -527,8 +527,13 @@ class ArmPushController(ManagedCellNode):
             self._end_takeover()
         elif tool is not None and now - tool.t <= self._limits.stale_time:
             if not self._begin_retraction(now, tool, _TAKEN_OVER):
-                self._record.remove()
+                self._end_left_push()
             self._end_takeover()
+
+    def _end_left_push(self) -> None:
+        """Tell that the push of a controller that died is over: its last phase still stands."""
+        self._record.remove()
+        self._publish(Command(0.0, 'aborted'), ended=True)
 
     def _end_takeover(self) -> None:
         self.destroy_timer(self._takeover)

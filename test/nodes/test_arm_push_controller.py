@@ -412,6 +412,29 @@ def test_who_takes_the_place_of_a_controller_that_died_in_a_push_raises_the_tool
     assert successor.stop() == 0
 
 
+def test_a_push_that_was_left_to_itself_is_told_to_be_over_also_where_the_tool_is_up(
+    notes, controller, start_node, world, probe, until
+):
+    """Its last phase would stand for ever, and keep the load cell from being tared."""
+    phases = probe.listen(PHASE)
+    (result,) = probe.set_parameters('arm_push_controller', {'hold_time': 60.0})
+    assert result.successful, result.reason
+    probe.start_push()
+    until(lambda: 'hold' in texts(phases), 'the hold')
+    (note,) = until(lambda: list(notes.glob('*.json')), 'the note of the push')
+    left = note.read_bytes()
+    assert probe.call(STOP, Trigger.Request()).success
+    until(lambda: texts(phases)[-1] == 'aborted', 'the end of the push')
+    assert controller.stop() == 0
+    phases.clear()
+    note.write_bytes(left)
+    parameters = {'simulated_world_port': world.port, **QUICK_PUSH, 'retract_height': 0.03}
+    start_node('arm_push_controller', parameters)
+    until(lambda: phases, 'what the successor tells')
+    assert texts(phases) == ['aborted']
+    until(lambda: not list(notes.iterdir()), 'the end of what was left to do')
+
+
 def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_cell, probe, until):
     controller = start_node(
         'arm_push_controller',

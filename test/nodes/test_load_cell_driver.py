@@ -21,7 +21,7 @@ import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from hapticvision_ros.bag.contract import TARE, WRENCH
+from hapticvision_ros.bag.contract import PHASE, TARE, WRENCH
 from hapticvision_ros.nodes.conversions import contact_force, ns_from_stamp, values_from_status
 from hapticvision_ros.nodes.diagnostics import DIAGNOSTICS
 from hapticvision_ros.sim.emulators.net_ft import NetFtEmulator
@@ -30,6 +30,7 @@ from hapticvision_ros.sim.emulators.sources import constant
 from hapticvision_ros.sim.faults import FaultLink
 import numpy as np
 import pytest
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 LOAD = (1.25, -0.5, -12.75, 0.01, 0.02, -0.03)
@@ -281,6 +282,16 @@ def test_a_load_that_moves_is_no_zero(driver, probe, until):
     answer = probe.call(TARE, Trigger.Request())
     assert not answer.success
     assert 'wait until nothing moves' in answer.message
+
+
+def test_in_a_push_there_is_no_tare(driver, probe, until):
+    """It would raise the force limit by the force of the push."""
+    heard = probe.listen(WRENCH)
+    until(lambda: len(heard) >= 100, 'readings')
+    probe.send(PHASE, String(data='hold'))
+    until(lambda: 'hold' in probe.call(TARE, Trigger.Request()).message, 'the refusal')
+    probe.send(PHASE, String(data='aborted'))
+    until(lambda: probe.call(TARE, Trigger.Request()).success, 'the tare')
 
 
 @pytest.fixture

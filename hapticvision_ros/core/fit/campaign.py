@@ -67,7 +67,8 @@ _SETTLED: Final = 0.03
 _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
 _QUICK: Final = 20.0
-"""Relaxation, in samples, below which the force of a push shows none."""
+_BRIEF: Final = 0.01
+"""Relaxation, in samples and over the contact, below which the force of a push may show none."""
 _OTHER: Final = 0.3
 """Relative change of the noise from which on it may be of another kind."""
 _OUTLYING: Final = 6.0
@@ -1268,10 +1269,11 @@ def _search(
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     starts = [values]
     relaxation = (body.C1 + body.C2) / body.K1
-    if relaxation < _QUICK * trials[0].interval:
-        # The force shows a dashpot alone, which the two may be together: the height tells.
+    contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
+    if relaxation < max(_QUICK * trials[0].interval, _BRIEF * contact):
+        # The force shows a dashpot alone, which the two may be together: the height tells. A
+        # relaxation so brief may also be how the force jumps where the path is not well known.
         both = 2.0 * body.C2
-        contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
         starts.append({'K1': both / contact, 'C1': both, 'C2': both})
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})

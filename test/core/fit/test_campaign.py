@@ -386,3 +386,17 @@ def test_a_touch_that_is_misplaced_is_found_to_a_part_of_a_samples_way() -> None
     state[places] += 4e-5
     assert replace_onsets(problem, state, SensorNoise(0.0005, 1e-9, 0.01), Blur(0.0625, 0.0625))
     np.testing.assert_allclose(state[places], result.state[places], atol=1e-6)
+
+
+def test_a_slow_body_is_found_though_slow_encoders_make_its_force_jump() -> None:
+    """It relaxes in 61 s; what jumps where the path is not well known relaxes in 30 ms."""
+    body = specimen.Body(8.0, 210.0, 280.0)
+    pushes = tuple(campaigns.Push(0.0014, depth, 12.0, 7.5) for depth in (0.0022, 0.0009, 0.0022))
+    sensors = campaigns.Sensors(
+        campaigns.ForceNoise(0.001), 1.5e-5, force_rate=1000.0, tool_rate=50.0
+    )
+    made = campaigns.Campaign(body, pushes, sensors, scatter=0.02)
+    trials = campaigns.run(made, seed=1).trials
+    result = fit([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
+    for name in ('K1', 'C1', 'C2'):
+        assert result.parameters[name].value == pytest.approx(getattr(body, name), rel=0.05)
