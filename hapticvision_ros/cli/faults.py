@@ -38,14 +38,14 @@ CLIENT: Final = 'fault_campaign'
 LARGEST_DOMAIN: Final = 101
 RESTARTS: Final = 100
 FORCE_LIMIT: Final = 20.0
-"""A quick push of the campaign takes about half of it [N]."""
+"""A push of the campaign takes less than half of it [N]."""
 START_HEIGHT: Final = 0.052
 WATCHDOG: Final = 0.05
 """A controller that is gone or held up is without command for so long [s]."""
 QUICK: Final[dict[str, dict[str, Any]]] = {
     'range_sensor_driver.yaml': {'width': 160, 'height': 120},
     f'{ARM}.yaml': {
-        'push_speed': 0.01,
+        'push_speed': 0.003,
         'approach_speed': 0.03,
         'release_speed': 0.02,
         'clearance': 0.008,
@@ -57,7 +57,7 @@ QUICK: Final[dict[str, dict[str, Any]]] = {
         'heartbeat_time': 0.7,
     },
     f'{ORCHESTRATOR}.yaml': {
-        'speeds': [0.01],
+        'speeds': [0.003],
         'depths': [0.006],
         'hold_time': 0.6,
         'recover_time': 0.4,
@@ -66,13 +66,14 @@ QUICK: Final[dict[str, dict[str, Any]]] = {
         'approach_deadline': 8.0,
         'push_margin': 5.0,
         'stream_deadline': 0.8,
+        'cloud_deadline': 1.0,
         'retry_period': 0.1,
         'feedback_period': 0.5,
         'least_room': 0,
     },
     WORLD_CONFIG: {'arm': {'start_height': START_HEIGHT, 'watchdog': WATCHDOG}},
 }
-"""Pushes of about two seconds, and deadlines to match."""
+"""Pushes of about four seconds, and deadlines to match."""
 RATES: Final = ('--force-rate', '500', '--arm-rate', '250', '--range-rate', '10')
 
 

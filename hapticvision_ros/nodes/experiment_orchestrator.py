@@ -36,6 +36,7 @@ from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
+    DISPLACEMENT_HEIGHT,
     EMERGENCY_STOP,
     ENABLE,
     EXPERIMENT_FEEDBACK,
@@ -44,6 +45,7 @@ from hapticvision_ros.bag.contract import (
     HEARTBEAT,
     PHASE,
     PLAN,
+    POINTS,
     PUSH,
     PUSH_REPORT,
     Qos,
@@ -208,6 +210,14 @@ PARAMETERS: Final = (
         'How long the load cell or the arm may be silent in a push.',
         0.1,
         60.0,
+    ),
+    ParameterSpec(
+        'cloud_deadline',
+        'double',
+        's',
+        'How long the range sensor may be silent in a push before its trial counts as incomplete.',
+        0.1,
+        3600.0,
     ),
     ParameterSpec(
         'max_failures',
@@ -402,6 +412,7 @@ class ExperimentOrchestrator(CellNode):
         self._kept: Decision | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
+        self._unseen = 0.0
         self._reported = 0.0
         self._status: GoalStatus | None = None
 
@@ -649,6 +660,7 @@ class ExperimentOrchestrator(CellNode):
                     self._ask(ENABLE, SetBool.Request(data=True))
             case Step.RECORD:
                 experiment.waiting_for = 'the bag to be opened'
+                self._unseen = 0.0
                 self._recording = Recording(
                     self._folder / trial.name,
                     {
@@ -671,7 +683,8 @@ class ExperimentOrchestrator(CellNode):
                     fitter.call_async(Trigger.Request())
             case Step.START:
                 self._push_report = None
-                self._last_heard = dict.fromkeys((WRENCH.name, TOOL_HEIGHT.name), now)
+                watched = (WRENCH, TOOL_HEIGHT, POINTS, DISPLACEMENT_HEIGHT)
+                self._last_heard = dict.fromkeys((topic.name for topic in watched), now)
                 self._ask(PUSH, Trigger.Request())
             case Step.STOP:
                 self._ask(STOP, Trigger.Request())
@@ -951,7 +964,9 @@ class ExperimentOrchestrator(CellNode):
                 experiment.failed(str(error), now)
 
     def _watch_streams(self, experiment: Experiment, now: float) -> None:
-        """Take a driver that has fallen silent for dead."""
+        """Take a driver that has fallen silent for dead; the arm does not rely on what is seen."""
+        seen = max(self._last_heard[topic.name] for topic in (POINTS, DISPLACEMENT_HEIGHT))
+        self._unseen = max(self._unseen, now - seen)
         limit = self.parameters.real('stream_deadline')
         for name, heard in self._last_heard.items():
             if name in (WRENCH.name, TOOL_HEIGHT.name) and now - heard > limit:
@@ -981,6 +996,9 @@ class ExperimentOrchestrator(CellNode):
             if report.message in TAKEN_BACK:
                 experiment.forbidden(report.message, now)
         missing = missing_topics(recording.counts)
+        if self._unseen > self.parameters.real('cloud_deadline'):
+            seen = f'{POINTS.name} or {DISPLACEMENT_HEIGHT.name}'
+            missing.append(f'{seen} for {self._unseen:.1f} s of the push')
         usable = not (missing or experiment.failing or recording.error)
         outcome = Outcome.COMPLETE if usable else Outcome.INCOMPLETE
         if experiment.failing or recording.error:

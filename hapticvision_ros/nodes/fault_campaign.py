@@ -98,6 +98,10 @@ AT_REST: Final = 0.2
 NEAR_LIMIT: Final = 0.97
 DEPTH: Final = 0.006
 """How deep the pushes go [m]."""
+SPEED: Final = 0.003
+"""How fast: a push that does not stop goes on for 2 s after the touch [m/s]."""
+SPEEDS: Final = {'the object is harder than it may be': 0.01}
+"""Speeds that take what is not allowed [m/s]."""
 DEPTHS: Final = {
     'deeper than the arm allows': 0.05,
     'the object is harder than it may be': 0.025,
@@ -162,8 +166,12 @@ class Campaign:
         folder = self._out / 'bags' / name
         if fault.how == 'into a folder that cannot be written':
             folder = Path('/proc/nowhere')
-        depth = DEPTHS.get(fault.how, DEPTH)
-        self._configure(ORCHESTRATOR, {'output_folder': str(folder), 'depths': [depth]})
+        goal = {
+            'output_folder': str(folder),
+            'speeds': [SPEEDS.get(fault.how, SPEED)],
+            'depths': [DEPTHS.get(fault.how, DEPTH)],
+        }
+        self._configure(ORCHESTRATOR, goal)
         self._world.ask('heal')
         self._world.ask('watch')
         self._phases.clear()

@@ -27,6 +27,7 @@ from pathlib import Path
 import queue
 import shutil
 import threading
+import traceback
 from typing import Final
 
 from hapticvision_ros.bag.contract import (
@@ -154,6 +155,11 @@ class Recording:
             self._error = self._error or str(error)
             # What is on the disk stays, under a name that says what it is.
             suffix = FAILED
+        except Exception as error:
+            # A defect of this package, but its trial must not pass for a complete one.
+            self._error = f'{self.path} is not whole: {type(error).__name__}: {error}'
+            suffix = FAILED
+            traceback.print_exc()
         if suffix and self._opened.is_set():
             marked = self.path.with_name(self.path.name + suffix)
             with suppress(OSError):

@@ -23,11 +23,13 @@ from hapticvision_ros.core.faults import (
     markdown,
     Measured,
     NODES,
+    ORCHESTRATOR,
     PHASES,
     row,
     table,
     verdict,
 )
+from hapticvision_ros.nodes.fault_campaign import DEPTH, SPEED
 import pytest
 
 MUST_STOP = Fault('distort', 'force', 'push', 'silent')
@@ -63,7 +65,8 @@ def test_what_is_as_it_has_to_be_is_safe():
     ('change', 'said'),
     [
         ({'peak_force': 22.1}, 'too much force'),
-        ({'stopped': 1.6}, 'went on'),
+        ({'stopped': 0.9}, 'went on'),
+        ({'outcome': 'complete'}, 'was not noticed'),
         ({'clear': None}, 'left in contact'),
         ({'readable': False}, 'bag does not read back'),
         ({'lost': 1.1}, 'data lost'),
@@ -76,6 +79,19 @@ def test_what_is_not_is_named(change, said):
 
 def test_a_fault_that_need_not_stop_the_push_may_let_it_go_on():
     assert verdict(MAY_GO_ON, replace(GOOD, stopped=5.0)) == 'safe'
+
+
+def test_a_push_that_nobody_stopped_is_told():
+    """The whole way of the campaign's pushes, to the end."""
+    whole = replace(GOOD, outcome='complete', stopped=DEPTH / SPEED, clear=2.9)
+    for fault in table():
+        assert (verdict(fault, whole) == 'safe') != fault.must_stop, fault
+
+
+def test_only_a_heartbeat_that_is_missed_takes_longer():
+    killed = Fault('kill', ORCHESTRATOR, 'push')
+    assert verdict(killed, replace(GOOD, outcome='no word', stopped=1.1)) == 'safe'
+    assert verdict(killed, replace(GOOD, outcome='no word', stopped=1.3)) == 'went on'
 
 
 def test_without_a_recording_no_bag_is_asked_for():

@@ -31,6 +31,7 @@ from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
+    DISPLACEMENT_HEIGHT,
     ENABLE,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
@@ -46,7 +47,13 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.autonomy import Budget, Findings, Push
-from hapticvision_ros.core.experiment import Deadlines, Experiment, ExperimentGoal, Step
+from hapticvision_ros.core.experiment import (
+    Deadlines,
+    Experiment,
+    ExperimentGoal,
+    Outcome,
+    Step,
+)
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.nodes.conversions import values_from_status
 from hapticvision_ros.nodes.experiment_orchestrator import (
@@ -412,6 +419,37 @@ def test_no_push_is_made_before_all_that_a_trial_needs_comes_in(node, monkeypatc
     counts[POINTS.name] += 1
     node._on_recording(experiment, 0.0)
     assert experiment.step is Step.START
+
+
+def test_a_push_in_which_the_range_sensor_fell_silent_is_incomplete(node, monkeypatch, tmp_path):
+    experiment = came_to(Step.PUSH)
+    limit = node.parameters.real('cloud_deadline')
+    topics = (WRENCH, TOOL_HEIGHT, POINTS, DISPLACEMENT_HEIGHT)
+    heard = {topic.name: 0.0 for topic in topics}
+    monkeypatch.setattr(node, '_last_heard', heard)
+    monkeypatch.setattr(node, '_unseen', 0.0)
+    for now in np.arange(0.0, 1.2 * limit, 0.1):
+        heard |= {WRENCH.name: now, TOOL_HEIGHT.name: now}
+        node._watch_streams(experiment, float(now))
+    heard[POINTS.name] = now
+    node._watch_streams(experiment, float(now))
+    experiment.phase('done', float(now))
+    counts = Counter({topic.name: 5 for topic in topics})
+    closed = []
+    recording = SimpleNamespace(
+        closed=True,
+        error=None,
+        counts=counts,
+        path=tmp_path,
+        close=lambda outcome, suffix: closed.append(suffix),
+    )
+    monkeypatch.setattr(node, '_recording', recording)
+    node._finish(experiment, float(now))
+    assert closed == ['_incomplete']
+    (outcome,) = experiment.outcomes
+    assert outcome.outcome is Outcome.INCOMPLETE
+    assert 'nothing was received on /range_sensor/points' in outcome.reason
+    assert 's of the push' in outcome.reason
 
 
 def test_an_arm_whose_services_are_not_found_any_more_is_asked_by_new_clients(node, monkeypatch):

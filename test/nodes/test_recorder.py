@@ -86,6 +86,21 @@ def test_a_disk_that_is_too_slow_is_told_in_a_sentence(tmp_path):
     assert recording.closed
 
 
+def test_a_bag_that_a_defect_has_ended_is_marked(tmp_path, monkeypatch):
+    def fails(*_: object) -> None:
+        raise ValueError('a defect')
+
+    monkeypatch.setattr(BagWriter, 'write_raw', fails)
+    recording = Recording(tmp_path / 'trial', {}, ROOM)
+    fill(recording)
+    recording.close({'outcome': 'complete'})
+    recording.join(10.0)
+    assert recording.closed
+    assert recording.error is not None
+    assert 'ValueError: a defect' in recording.error
+    assert recording.path.name != 'trial'
+
+
 def test_what_a_trial_lacks_is_named():
     assert missing_topics({}) == [
         '/load_cell/wrench',
