@@ -15,11 +15,14 @@
 """
 How long the diagnosis of six trials of 130 s at 1 kHz takes, with one thread and with two.
 
-``OMP_NUM_THREADS=1 python3 bench/bench_diagnosis.py``
+``OMP_NUM_THREADS=1 python bench/bench_diagnosis.py``; with ``--bootstrap 50`` also the bootstrap
+of the first of them, with two threads.
 """
 
+import argparse
 import time
 
+from hapticvision_ros.core.diagnosis.bootstrap import bootstrap
 from hapticvision_ros.core.diagnosis.search import diagnose
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force, Push, run, Sensors
@@ -38,6 +41,9 @@ ACTING = ((), ('yield_force', 0.004), ('springpot', 0.01))
 
 def main() -> None:
     """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--bootstrap', type=int, default=0, metavar='N', help='campaigns')
+    args = parser.parse_args()
     peak = peak_force(Campaign(BODY, PUSHES, Sensors(ForceNoise(0.0), 0.0)))
     sensors = Sensors(
         ForceNoise(0.0, 0.005 * peak, 0.002),
@@ -60,6 +66,14 @@ def main() -> None:
             name = acting[0] if acting else 'nothing'
             answer = ', '.join(found.effects) or found.status
             print(f'| {name} | {answer} | {threads} | {wall:.1f} | {cpu:.1f} |', flush=True)
+        if args.bootstrap and not acting:
+            wall, cpu = time.perf_counter(), time.process_time()
+            phases = [segmentation for _, segmentation in given]
+            chance = bootstrap(found, phases, args.bootstrap, workers=2)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            what = f'bootstrap, {chance.campaigns} campaigns'
+            told = f'{chance.false_alarms} false alarms'
+            print(f'| {what} | {told} | 2 | {wall:.1f} | {cpu:.1f} |', flush=True)
 
 
 if __name__ == '__main__':
