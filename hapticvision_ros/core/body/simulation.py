@@ -52,11 +52,10 @@ _SHARE: Final = 1.0 / 6.0
 _SHORTEST: Final = 1.0 / 64.0
 """Shortest step, over the first after a corner."""
 _SAFE: Final = 0.85
-_FRESH: Final = 0.03
-_LATER: Final = 0.12
-"""Longest step over the relaxation time of a series spring, and over the time that has passed."""
+_FRESH: Final = 3.0
+"""First step over the relaxation time of a series spring, over the root of the force's error."""
 _DAMPED: Final = 1.65
-"""Largest weight of the end of a step of a series spring; 2 is the trapezoidal rule."""
+"""Largest weight of the end of a step of a series spring where friction is overcome; 2 is all."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
 _DRAG: Final = 1e-6
@@ -72,6 +71,9 @@ class Accuracy:
     ----------
     position : float
         Error of the positions that a step may make [m].
+    force : float
+        The same of the force at the end of a step, relative to the largest so far; controlled
+        where there is a series spring, as without one the force follows the positions.
     first_step : float
         Length of the first step after a corner of the tool's path [s].
     longest_step : float
@@ -84,6 +86,7 @@ class Accuracy:
     """
 
     position: float = 2e-5
+    force: float = 1e-3
     first_step: float = 0.1
     longest_step: float = 10.0
     growth: float = 1.5
@@ -264,6 +267,8 @@ class Pressed:
         self.newton = 0
         self.cycles = 0
         self.largest = 0.0
+        self.end_force = 0.0
+        self._begun = False
         self._q = np.zeros(forces.NUMBERS)
         self._lifted = 0.0
 
@@ -272,14 +277,14 @@ class Pressed:
         """Return the positions at the start of the step, shape (n, 3) [m]."""
         return self.x0[:, self.place].T.copy()
 
-    def resolved(self, since: float) -> float:
-        """Return the longest step that shows how a series spring relaxes after a corner [s]."""
+    def first(self, accuracy: Accuracy) -> float:
+        """Return the longest first step after a corner that shows how a series spring relaxes."""
         law = self.law
         # Without the dashpot nothing holds a series spring back.
         if not self.ends.size or law.bounce_viscosity == 0.0:
             return math.inf
         dashpots = 1.0 / (1.0 / law.bounce_viscosity + 1.0 / law.flow_viscosity)
-        return _FRESH * dashpots / law.series_stiffness + _LATER * since
+        return _FRESH * math.sqrt(accuracy.force) * dashpots / law.series_stiffness
 
     def numbers(self, h: float, *, touching: bool) -> FloatArray:
         """Return the law of links and cells over a step."""
@@ -299,10 +304,14 @@ class Pressed:
             q[forces.GIVE] += q[forces.UNIT_LEFT] * q[forces.UNIT_SOFT]
         if self.ends.size:
             q[forces.SERIES] = 1.0 / law.series_stiffness
-            # Not all of the fitted rule: what a node's release puts out of balance would ring.
-            pace = h * law.series_stiffness / dashpots
-            best = 1.0 / forces.fitted_weight(pace)
-            q[forces.SERIES_END] = min(best, _DAMPED) if touching else 1.0
+            end = 1.0 / forces.fitted_weight(h * law.series_stiffness / dashpots)
+            if self.contact.slides:
+                # What friction leaves at the end of a step is not known: let it not ring.
+                end = min(end, _DAMPED)
+            elif not self._begun and self.surroundings.density > 0.0:
+                # The weight is there at once.
+                end = 1.0
+            q[forces.SERIES_END] = end
             q[forces.GIVE] += q[forces.SERIES] * q[forces.SERIES_END]
         q[forces.STIFFENING] = law.stiffening
         q[forces.DAMAGE] = law.damage
@@ -371,6 +380,16 @@ class Pressed:
         net[:, 2] -= self.weight_of_node
         return net
 
+    def ends_out(self) -> FloatArray:
+        """Return what the end forces of the step before leave on the nodes, shape (n, 3) [N]."""
+        q = np.zeros(forces.NUMBERS)
+        # Links that stretch by nothing, so soft that they keep what their series springs hold.
+        q[[forces.E, forces.CELL, forces.SERIES_END, forces.POWER, forces.PLAIN]] = 1.0
+        q[[forces.SERIES, forces.GIVE]] = 1e12
+        q[forces.YIELD] = math.inf
+        self.x1[:] = self.x0
+        return self.evaluate(q, fill=False)
+
     def correct(
         self, net: FloatArray, holds: Holds, tolerance: float, *, fresh: bool
     ) -> tuple[float, bool]:
@@ -415,9 +434,19 @@ class Pressed:
         """
         contact = self.contact
         start = self.x0[:, self.place].T
+        was = contact.by_tool.copy()
         contact.start(start, before, down=height < before)
         q = self.numbers(h, touching=bool(contact.by_tool.any()) or height < before)
         self._q = q
+        # Mean forces that balance would turn what the ends leave out of balance, as on a node that
+        # is let go, over in each step: it would ring. So the means leave what makes the ends
+        # balance, which is what the tool still bore when it was leaving.
+        out_before = np.zeros_like(start)
+        carried = np.zeros_like(start)
+        if self.ends.size and not contact.slides:
+            out_before = self.ends_out()
+            end = q[forces.SERIES_END]
+            carried = (end - 1.0) / end * out_before
         self.x1[:] = self.x0
         if speed is not None:
             self.x1[:, self.place] += h * speed.T
@@ -427,7 +456,7 @@ class Pressed:
             net = self.evaluate(q, fill=stale)
             position = self.x1[:, self.place].T
             holds = contact.holds(start, position, before, height)
-            out, scale = self._balance(net, holds)
+            out, scale = self._balance(net, carried, holds)
             if not math.isfinite(out):
                 return None
             enough = accuracy.balance * scale
@@ -439,12 +468,15 @@ class Pressed:
                         net = self.evaluate(q, fill=True)
                         stale = True
                     holds = contact.holds(start, position, before, height)
-                    out, _ = self._balance(net, holds)
+                    out, _ = self._balance(net, carried, holds)
                     last = moved = math.inf
             off = float(np.abs(holds.correction).max(initial=0.0))
             if out <= enough and max(off, moved) <= settled and contact.unsettled <= _TURNED:
                 on = holds.nodes[contact.by_tool[holds.nodes]]
-                force = float(net[on, 2].sum())
+                left = was & ~contact.by_tool
+                force = float(net[on, 2].sum()) + max(float(carried[left, 2].sum()), 0.0)
+                first = float(out_before[was, 2].sum())
+                self.end_force = first + q[forces.SERIES_END] * (force - first)
                 self.largest = max(self.largest, abs(force))
                 return force, on.size
             if not stale and (out > _POOR * last or contact.slides):
@@ -452,7 +484,7 @@ class Pressed:
                 net = self.evaluate(q, fill=True)
             last = out
             tolerance = min(max(0.3 * enough / max(out, 1e-300), 1e-4), 0.03)
-            pushed = net.copy()
+            pushed = net - carried
             pushed[holds.nodes] += holds.friction
             moved, sound = self.correct(pushed, holds, tolerance, fresh=stale)
             if not sound:
@@ -460,11 +492,14 @@ class Pressed:
             stale = False
         return None
 
-    def _balance(self, net: FloatArray, holds: Holds) -> tuple[float, float]:
+    def _balance(
+        self, net: FloatArray, carried: FloatArray, holds: Holds
+    ) -> tuple[float, float]:
         """Return what is out of balance, and the force that it is small against [N]."""
         scale = max(self.largest, float(np.abs(net[holds.nodes]).sum()))
-        left = net.copy()
-        left[holds.nodes] = np.einsum('mij,mj->mi', holds.free, net[holds.nodes] + holds.friction)
+        left = net - carried
+        held = left[holds.nodes] + holds.friction
+        left[holds.nodes] = np.einsum('mij,mj->mi', holds.free, held)
         return float(np.sqrt((left**2).sum())), scale
 
     def advance(self) -> float:
@@ -500,6 +535,7 @@ class Pressed:
         rise = (self.x1 - self.x0)[2, self.place]
         self._lifted += float(self.weight_of_node @ rise)
         self.x0[:] = self.x1
+        self._begun = True
         return float(held) + self._lifted
 
     def static(self, depth: float) -> Gauge:
@@ -677,12 +713,12 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
     record = _Record(body, t, tool, at)
     shortest = _SHORTEST * accuracy.first_step
     for stop in _stops(body, motion):
-        h = accuracy.first_step
-        begun = t
+        h = min(accuracy.first_step, body.first(accuracy))
         speed: FloatArray | None = None
+        rate, end_force = 0.0, body.end_force
         while t < stop:
             left = stop - t
-            h = min(h, accuracy.longest_step, body.resolved(t - begun))
+            h = min(h, accuracy.longest_step)
             if h > left * (1.0 - 1e-9) or left < 2.0 * shortest:
                 h = left
             elif h > 0.5 * left:
@@ -707,14 +743,19 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
             factor = accuracy.growth
             if speed is not None:
                 error = _SHARE * float(np.abs(moved - h * speed).max())
-                factor = min(factor, _SAFE * math.sqrt(accuracy.position / max(error, 1e-300)))
-                if error > accuracy.position and h > shortest:
+                off = error / accuracy.position
+                if body.ends.size:
+                    error = _SHARE * abs(body.end_force - end_force - h * rate)
+                    off = max(off, error / max(accuracy.force * body.largest, 1e-300))
+                factor = min(factor, _SAFE / math.sqrt(max(off, 1e-300)))
+                if off > 1.0 and h > shortest:
                     body.contact.state = kept
                     h = max(h * max(factor, 0.2), shortest)
                     continue
             stored = body.advance()
             record.add(after, goal, found[0], found[1], stored)
             speed = moved / h
+            rate, end_force = (body.end_force - end_force) / h, body.end_force
             t, tool = after, goal
             h *= max(factor, 0.5)
     return record.run()
