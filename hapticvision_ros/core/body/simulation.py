@@ -26,7 +26,13 @@ from typing import Final
 
 from hapticvision_ros.core.body import forces
 from hapticvision_ros.core.body.contact import Contact, Holds
-from hapticvision_ros.core.body.lattice import CORNERS, DIRECTIONS, IndexArray, Lattice
+from hapticvision_ros.core.body.lattice import (
+    BoolArray,
+    CORNERS,
+    DIRECTIONS,
+    IndexArray,
+    Lattice,
+)
 from hapticvision_ros.core.body.links import Gauge, LinkLaw
 from hapticvision_ros.core.body.multigrid import Multigrid, project
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
@@ -54,6 +60,8 @@ _SHORTEST: Final = 1.0 / 64.0
 _SAFE: Final = 0.85
 _FRESH: Final = 3.0
 """First step over the relaxation time of a series spring, over the root of the force's error."""
+_EVENT: Final = 4.0
+"""Force of nodes that leave within a step, at most, over the error of the force."""
 _DAMPED: Final = 1.65
 """Largest weight of the end of a step of a series spring where friction is overcome; 2 is all."""
 _ON: Final = 1.0 + 1e-6
@@ -86,7 +94,7 @@ class Accuracy:
     """
 
     position: float = 2e-5
-    force: float = 1e-3
+    force: float = 5e-4
     first_step: float = 0.1
     longest_step: float = 10.0
     growth: float = 1.5
@@ -268,6 +276,7 @@ class Pressed:
         self.cycles = 0
         self.largest = 0.0
         self.end_force = 0.0
+        self.astray, self.sound_part = 0.0, 0.5
         self._begun = False
         self._q = np.zeros(forces.NUMBERS)
         self._lifted = 0.0
@@ -371,7 +380,7 @@ class Pressed:
             )
         if self.loose:
             # Nothing holds a free body in its place but this.
-            drag = _DRAG * q[forces.E]
+            drag = _DRAG * q[forces.E] / (1.0 + q[forces.E] * q[forces.GIVE])
             self.net[:, self.place] -= drag * (self.x1 - self.x0)[:, self.place]
             if fill:
                 for a in (0, 4, 8):
@@ -477,6 +486,7 @@ class Pressed:
                 force = float(net[on, 2].sum()) + max(float(carried[left, 2].sum()), 0.0)
                 first = float(out_before[was, 2].sum())
                 self.end_force = first + q[forces.SERIES_END] * (force - first)
+                self._leaving(net, out_before, holds, left, q[forces.SERIES_END])
                 self.largest = max(self.largest, abs(force))
                 return force, on.size
             if not stale and (out > _POOR * last or contact.slides):
@@ -492,9 +502,32 @@ class Pressed:
             stale = False
         return None
 
-    def _balance(
-        self, net: FloatArray, carried: FloatArray, holds: Holds
-    ) -> tuple[float, float]:
+    def _leaving(
+        self, net: FloatArray, before: FloatArray, holds: Holds, left: BoolArray, end: float
+    ) -> None:
+        """
+        Tell by how much the tool pulls at the end of the step, or lost a press within it.
+
+        When in the step a node leaves is not resolved. Beside the force stands the part of the
+        step after which what pulls at its end would have been let go.
+
+        """
+        self.astray, self.sound_part = 0.0, 0.5
+        if not self.ends.size or self.contact.slides:
+            return
+        on = self.contact.by_tool[holds.nodes]
+        nodes, normals = holds.nodes[on], holds.normals[on]
+        press = np.einsum('ij,ij->i', before[nodes], normals)
+        last = press + end * (np.einsum('ij,ij->i', net[nodes], normals) - press)
+        pulls = (last < 0.0) & (press > 0.0)
+        pull = -float(last[pulls].sum())
+        lost = max(float(before[left, 2].sum()), 0.0)
+        self.astray = 0.5 * max(pull, lost)
+        if pull > lost:
+            bore = float(press[pulls].sum())
+            self.sound_part = bore / (bore + pull)
+
+    def _balance(self, net: FloatArray, carried: FloatArray, holds: Holds) -> tuple[float, float]:
         """Return what is out of balance, and the force that it is small against [N]."""
         scale = max(self.largest, float(np.abs(net[holds.nodes]).sum()))
         left = net - carried
@@ -741,12 +774,17 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
                 continue
             moved = (body.x1 - body.x0)[:, body.place].T
             factor = accuracy.growth
+            most = accuracy.force * body.largest
+            if body.astray > _EVENT * most and h > shortest:
+                body.contact.state = kept
+                h = max(h * min(max(body.sound_part, 0.1), 0.9), shortest)
+                continue
             if speed is not None:
                 error = _SHARE * float(np.abs(moved - h * speed).max())
                 off = error / accuracy.position
                 if body.ends.size:
                     error = _SHARE * abs(body.end_force - end_force - h * rate)
-                    off = max(off, error / max(accuracy.force * body.largest, 1e-300))
+                    off = max(off, error / max(most, 1e-300))
                 factor = min(factor, _SAFE / math.sqrt(max(off, 1e-300)))
                 if off > 1.0 and h > shortest:
                     body.contact.state = kept
