@@ -144,8 +144,9 @@ def run(args: argparse.Namespace) -> int:
     for bag, out in zip(args.bags, folders, strict=True):
         if len(args.bags) > 1:
             print(f'{bag}\n')
-        study = _study(bag, of_tip(settings.sphere), settings)
-        rows.append(_done(study, args.result, which, bag, out))
+        identified = of_tip(settings.sphere)
+        study = _study(bag, identified, settings)
+        rows.append(_done(study, args.result, which, bag, out, identified))
         print()
     if len(rows) > 1:
         path = args.out / 'shapes.json'
@@ -176,13 +177,26 @@ def _folders(bags: Sequence[Path], out: Path) -> list[Path]:
     return [out / name for name in names]
 
 
-def _done(study: 'ShapeStudy', result: Path, which: str, bag: Path, out: Path) -> dict[str, Any]:
+def _done(
+    study: 'ShapeStudy',
+    result: Path,
+    which: str,
+    bag: Path,
+    out: Path,
+    identified: Identified,
+) -> dict[str, Any]:
     """Write what was found of a bag, print it, and return its row of the table."""
     from hapticvision_ros.core.surface.document import shape_document
     from hapticvision_ros.report.shape import files, render_shape
     from hapticvision_ros.report.writing import write_whole
 
-    document = shape_document(study, result=str(result), which=which, bag=str(bag))
+    document = shape_document(
+        study,
+        result=str(result),
+        which=which,
+        bag=str(bag),
+        fitted_anew=identified.parameters if identified.anew else None,
+    )
     with Progress() as tell:
         tell('drawing')
         made = dict(files(study))
@@ -341,14 +355,28 @@ def _closed(
                 'by_cells_m2': loop.by_cells if math.isfinite(loop.by_cells) else None,
                 'alike': list(loop.alike),
                 'verdict': loop.verdict,
+                'fitted_anew': _fitted_anew(of_tip),
             }
         )
         if not loop.accepted:
             break
         if asked.sphere != settings.sphere and of_tip(asked.sphere).anew:
-            print(f'{_anew(of_tip(asked.sphere))}.\n')
+            identified = of_tip(asked.sphere)
+            print('\n'.join(f'{one}.' for one in (_anew(identified), *identified.warnings)) + '\n')
         settings = asked
     return documents, settings
+
+
+def _fitted_anew(of_tip: ByTip) -> dict[str, Any] | None:
+    """Return the numbers and the warnings of what was fitted for another tip, if it was."""
+    identified = of_tip.anew
+    if identified is None:
+        return None
+    return {
+        'model': identified.model.name,
+        'parameters': dict(identified.parameters),
+        'warnings': list(identified.warnings),
+    }
 
 
 def _anew(identified: Identified) -> str:
@@ -396,7 +424,8 @@ def _study(
             # The numerics know no files.
             raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
     if identified.anew:
-        study = replace(study, warnings=(*study.warnings, _anew(identified)))
+        told = (_anew(identified), *identified.warnings)
+        study = replace(study, warnings=(*study.warnings, *told))
     return study
 
 

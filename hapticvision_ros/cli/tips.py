@@ -49,6 +49,8 @@ class Identified:
         Depth of the deepest push that it was fitted to [m].
     anew : bool
         Whether it was fitted here, as the tip is another than the declared one.
+    warnings : tuple of str
+        What to know of that fit, one sentence each.
 
     """
 
@@ -56,6 +58,7 @@ class Identified:
     parameters: Mapping[str, float]
     reference_depth: float | None
     anew: bool = False
+    warnings: tuple[str, ...] = ()
 
 
 class ByTip:
@@ -99,6 +102,12 @@ class ByTip:
             raise found
         return found
 
+    @property
+    def anew(self) -> Identified | None:
+        """Return what was fitted for the tip that was not declared, where it was."""
+        fitted = (one for one in self._known.values() if isinstance(one, Identified) and one.anew)
+        return next(fitted, None)
+
     def _other(self, sphere: bool) -> Identified:
         from hapticvision_ros.core.composition import Model
 
@@ -114,4 +123,10 @@ class ByTip:
             tell(f'fitting {model.name}')
             found = fit(Campaign.read(*self._bags), model)
         depth = found.problem.trials[0].reference_depth
-        return Identified(model, known_values(model, found.parameters), depth, anew=True)
+        return Identified(
+            model,
+            known_values(model, found.parameters),
+            depth,
+            anew=True,
+            warnings=tuple(found.warnings),
+        )

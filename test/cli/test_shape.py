@@ -156,7 +156,7 @@ def test_several_bags_have_a_folder_each_and_a_table(
 ) -> None:
     folders = []
 
-    def done(_: object, __: Path, which: str, bag: Path, out: Path) -> dict:
+    def done(_: object, __: Path, which: str, bag: Path, out: Path, ___: object) -> dict:
         folders.append(out)
         pair = {'measured': 0.00215, 'measured_std': 1e-5, 'simulated': 0.00294}
         unseen = {'measured': None, 'measured_std': None, 'simulated': 0.00706}
@@ -211,7 +211,8 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     row |= {key: {'measured': None, 'simulated': None} for key in ('bouncing_m', 'residual_m')}
     monkeypatch.setattr('hapticvision_ros.core.surface.loop.close_loop', closed)
     chain = {'K1': 1.0, 'C1': 2.0, 'C2': 3.0}
-    growing = Identified(Model(('contact_growth',)), {**chain, 'm': 0.5}, None)
+    doubt = 'm is not known well'
+    growing = Identified(Model(('contact_growth',)), {**chain, 'm': 0.5}, None, warnings=(doubt,))
     monkeypatch.setattr(ByTip, '_other', lambda *_: replace(growing, anew=True))
     monkeypatch.setattr('hapticvision_ros.cli.shape._study', studied)
     monkeypatch.setattr('hapticvision_ros.cli.shape._done', lambda *_: row)
@@ -221,6 +222,13 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     told = json.loads((tmp_path / 'out' / 'shapes.json').read_text())['loop']
     assert [turn['accepted'] for turn in told] == [True, False]
     assert told[0]['misfit_m']['spherical tool'] == [2e-5, 3e-5]
+    # No stub of the loop has asked for the other tip in the first turn.
+    assert told[0]['fitted_anew'] is None
+    assert told[1]['fitted_anew'] == {
+        'model': 'three-element+contact_growth',
+        'parameters': {**chain, 'm': 0.5},
+        'warnings': [doubt],
+    }
     printed = capsys.readouterr().out
     assert 'Accepted: spherical tool: asked for.' in printed
     assert '0.200 as declared, 0.025 with what the others choose' in printed
@@ -228,6 +236,7 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     assert 'Not accepted' in printed
     assert 'fitted anew, with three-element+contact_growth: K1 1 N/m' in printed
     assert printed.count('m 0.5.') == 1
+    assert printed.count(f'{doubt}.') == 1
 
 
 def test_a_parameter_that_is_not_known_is_named(

@@ -14,7 +14,7 @@
 
 """``shape.json``: what a trial's shape tells, in SI units, which the names carry."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from hapticvision_ros.core.body.push import Surroundings
@@ -35,7 +35,14 @@ PAIRS: Final = (
 """Name of a pair, its unit and what it is."""
 
 
-def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> dict[str, Any]:
+def shape_document(
+    study: ShapeStudy,
+    *,
+    result: str,
+    which: str,
+    bag: str,
+    fitted_anew: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
     """
     Return what is written to ``shape.json``.
 
@@ -45,6 +52,8 @@ def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> d
         What was found.
     result, which, bag : str
         The files, as they were named, and which model of the result was used.
+    fitted_anew : mapping of str to float, optional
+        The model's parameters in SI units, by name, where they are not those of the result.
 
     Returns
     -------
@@ -62,6 +71,7 @@ def shape_document(study: ShapeStudy, *, result: str, which: str, bag: str) -> d
         'result': result,
         'which': which,
         'model': study.model.name,
+        'fitted_anew': None if fitted_anew is None else dict(fitted_anew),
         'bag': bag,
         'simulation': {
             'cell_m': run.lattice.pitch,

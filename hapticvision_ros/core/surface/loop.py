@@ -262,14 +262,16 @@ def close_loop(
     asked = rivals(settings)
     observed: list[Observation | None] = [None] * trials
     profiles: dict[str, list[Profile]] = {}
+    failed: dict[str, str] = {}
     for name, changed in asked.items():
         made = []
         for trial in range(trials):
             try:
                 study = simulate(trial, changed, observed[trial])
-            except InputError:
+            except InputError as error:
                 if name == AS_DECLARED:
                     raise
+                failed[name] = str(error).rstrip('.')
                 break
             observed[trial] = study.observed
             radius = settings.cloud.tool_radius
@@ -277,9 +279,8 @@ def close_loop(
         else:
             profiles[name] = made
     loop = judge(profiles)
-    failed = [name for name in asked if name not in profiles]
-    if failed:
-        loop = replace(loop, verdict=f'{loop.verdict}; {", ".join(failed)} could not be simulated')
+    for name, why in failed.items():
+        loop = replace(loop, verdict=f'{loop.verdict}; {name} could not be simulated ({why})')
     return loop, asked[loop.chosen] if loop.accepted else settings
 
 

@@ -19,7 +19,7 @@ import math
 
 from hapticvision_ros.core.body.calibration import calibrate, gauge
 from hapticvision_ros.core.body.lattice import box, Lattice
-from hapticvision_ros.core.body.links import LinkLaw
+from hapticvision_ros.core.body.links import EFFECTS, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
@@ -257,6 +257,18 @@ def test_a_calibrated_body_answers_as_identified(effects: tuple[str, ...]) -> No
     assert found.height_misfit < 0.01
     for name, value in found.recovered.items():
         assert value == pytest.approx(IDENTIFIED[name], rel=5e-3)
+
+
+def test_a_calibrated_body_of_all_effects_answers_as_identified() -> None:
+    depth = 0.004
+    trial = ToolMotion.trial(0.04, depth=depth, push_speed=1.3e-3, hold=60.0, recovery=67.0)
+    given = IDENTIFIED | {'F_y': 5.0, 'K_0': 60000.0, 'K_2': 20000.0, 'C_3': 40000.0}
+    given |= {'beta': 0.3 / depth**2, 'n': 0.8, 'D': 0.1}
+    block = box((0.085, 0.060, 0.040), 0.01)
+    around = Surroundings(small=True)
+    found = calibrate(block, Model(EFFECTS), given, DISC, trial, around, rounds=8)
+    assert found.force_misfit < 0.01
+    assert found.height_misfit < 0.01
 
 
 def test_a_calibration_keeps_the_round_whose_force_and_height_are_nearest() -> None:
