@@ -35,7 +35,6 @@ from hapticvision_ros.report.shape_picture import (
     beside,
     colour_bar,
     coloured,
-    cylinder,
     draw,
     draw_with_tool,
     palette,
@@ -43,6 +42,7 @@ from hapticvision_ros.report.shape_picture import (
     png,
     ramp,
     Shape,
+    tool_mesh,
     write,
 )
 import numpy as np
@@ -206,12 +206,12 @@ def animation(study: ShapeStudy) -> bytes:
     pictures = []
     for t, surface in study.shots:
         tip = float(np.interp(t, run.t, run.tool))
-        if study.settings.sphere:
-            tip += radius
         lost = study.rest.points[:, 2] - surface.points[:, 2]
         picture = draw_with_tool(
             Shape.of_mesh(surface, lost),
-            cylinder(radius, tip, max(top + _ABOVE_TOOL - tip, 1e-3)),
+            tool_mesh(
+                radius, tip, max(top + _ABOVE_TOOL - tip, 1e-3), sphere=study.settings.sphere
+            ),
             view,
             0.0,
             deepest,

@@ -196,8 +196,25 @@ def draw_with_tool(
     return picture
 
 
-def cylinder(radius: float, tip: float, length: float, sides: int = 48) -> Mesh:
-    """Return a tool about the z axis, its tip at a height [m]."""
+def tool_mesh(
+    radius: float, tip: float, length: float, *, sphere: bool = False, sides: int = 48
+) -> Mesh:
+    """
+    Return a tool about the z axis.
+
+    Parameters
+    ----------
+    radius, tip, length : float
+        Of the cylinder or the ball, height of its lowest point, and how far it reaches above that
+        [m].
+    sphere : bool
+        Whether it ends in a ball; else it is flat.
+    sides : int
+        Of the polygon that is drawn for a circle.
+
+    """
+    if sphere:
+        return _turned(radius, tip, max(length, 1.001 * radius), sides)
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     ring = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
     low = np.column_stack((ring, np.full(sides, tip)))
@@ -214,6 +231,31 @@ def cylinder(radius: float, tip: float, length: float, sides: int = 48) -> Mesh:
         )
     )
     return Mesh(points, triangles)
+
+
+def _turned(radius: float, tip: float, length: float, sides: int) -> Mesh:
+    """Return a tool that ends in a ball: a profile turned about the z axis."""
+    up = np.linspace(0.0, 0.5 * np.pi, sides // 4 + 1)[1:]
+    around = np.append(radius * np.sin(up), radius)
+    height = tip + np.append(radius * (1.0 - np.cos(up)), length)
+    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    circle = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    rings = [
+        np.column_stack((r * circle, np.full(sides, z)))
+        for r, z in zip(around, height, strict=True)
+    ]
+    points = np.concatenate((*rings, [[0.0, 0.0, tip], [0.0, 0.0, tip + length]]))
+    a = np.arange(sides)
+    b = (a + 1) % sides
+    last = sides * (len(rings) - 1)
+    triangles = [
+        np.stack((b, a, np.full(sides, sides * len(rings))), axis=1),
+        np.stack((a + last, b + last, np.full(sides, sides * len(rings) + 1)), axis=1),
+    ]
+    for low in range(0, last, sides):
+        triangles.append(np.stack((a, b, b + sides), axis=1) + low)
+        triangles.append(np.stack((a, b + sides, a + sides), axis=1) + low)
+    return Mesh(points, np.concatenate(triangles))
 
 
 def write(picture: Picture, text: str, column: int, row: int, *, size: float = 0.45) -> None:

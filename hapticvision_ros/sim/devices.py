@@ -315,8 +315,9 @@ def connect_range_sensor(
                 'soft_body': dict() | None as soft_body,
             }
         }:
-            scene = Scene(Block(**block), tool_radius, RangeSensorModel(**sensor))
             model = None if soft_body is None else SoftBodyModel(**soft_body)
+            sphere = model is not None and model.sphere
+            scene = Scene(Block(**block), tool_radius, RangeSensorModel(**sensor), sphere)
         case _:
             link.close()
             raise DeviceError(f'what answers on UDP port {port} is no simulated world')

@@ -135,7 +135,8 @@ def record_trial(
     world = World(config, material, seed=seed)
     renderer = None
     if clouds is not None:
-        scene = Scene(config.block, arm.tool_radius, config.range_sensor)
+        sphere = config.soft_body is not None and config.soft_body.sphere
+        scene = Scene(config.block, arm.tool_radius, config.range_sensor, sphere)
         renderer = RangeRenderer(
             scene,
             width=clouds.width,

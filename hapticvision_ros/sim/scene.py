@@ -50,12 +50,15 @@ class Scene:
         Radius of the cylindrical tool [m].
     sensor : RangeSensorModel
         Where the sensor stands.
+    sphere : bool
+        Whether the tool ends in a sphere of that radius; else it is flat.
 
     """
 
     block: Block
     tool_radius: float
     sensor: RangeSensorModel
+    sphere: bool = False
 
     def __post_init__(self) -> None:
         reach = self.tool_radius + self.block.rim_width
@@ -164,6 +167,24 @@ class RangeRenderer:
         self._tool_rays = np.flatnonzero(meets)
         self._tool_depth = depth.astype(np.float32)
         self._tool_z = (origin[2] + depth * directions[meets, 2]).astype(np.float32)
+        self._aim = directions[meets]
+
+    def _tool(self, tip: float) -> tuple[PointArray, BoolArray]:
+        """Return the depth at which the tool's rays meet it, and which of them do."""
+        if not self._scene.sphere:
+            return self._tool_depth, self._tool_z >= tip
+        # A ray that enters the cylinder below the ball's equator meets the ball or nothing.
+        radius = self._scene.tool_radius
+        start = self._origin - np.array([0.0, 0.0, tip + radius])
+        a = np.sum(self._aim * self._aim, axis=1)
+        b = self._aim @ start
+        discriminant = b * b - a * (float(start @ start) - radius**2)
+        ball = (-b - np.sqrt(np.maximum(discriminant, 0.0))) / a
+        shaft = self._tool_z >= tip + radius
+        return (
+            np.where(shaft, self._tool_depth, ball).astype(np.float32),
+            shaft | (discriminant > 0.0),
+        )
 
     def render(
         self, tool_height: float, displacement: float, points: FloatArray | None = None
@@ -192,8 +213,9 @@ class RangeRenderer:
             self._draw(points, depth)
         elif displacement > 1e-7:
             depth[self._dent_rays] += self._depth_per_descent * self._descent(displacement)
-        seen = (self._tool_z >= tool_height) & ~(self._tool_depth >= depth[self._tool_rays])
-        depth[self._tool_rays[seen]] = self._tool_depth[seen]
+        tool_depth, met = self._tool(tool_height)
+        seen = met & ~(tool_depth >= depth[self._tool_rays])
+        depth[self._tool_rays[seen]] = tool_depth[seen]
         noise = self._random.standard_normal(depth.size, dtype=np.float32)
         noise *= self._noise
         depth += noise

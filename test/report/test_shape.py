@@ -21,7 +21,6 @@ from hapticvision_ros.core.surface.raster import ParallelView
 from hapticvision_ros.report.shape_gif import gif
 from hapticvision_ros.report.shape_picture import (
     coloured,
-    cylinder,
     draw,
     draw_with_tool,
     Grey,
@@ -29,6 +28,7 @@ from hapticvision_ros.report.shape_picture import (
     png,
     ramp,
     Shape,
+    tool_mesh,
 )
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_another_reader_finds_the_pictures_of_an_animation(kind: str, tmp_path) 
         mesh = _block()
         shape = Shape.of_mesh(mesh, mesh.points[:, 2])
         pictures = [
-            draw_with_tool(shape, cylinder(0.01, tip, 0.03), _view(mesh), 0.0, 0.04)
+            draw_with_tool(shape, tool_mesh(0.01, tip, 0.03), _view(mesh), 0.0, 0.04)
             for tip in (0.05, 0.045, 0.045, 0.041)
         ]
     colours = palette('depth')
@@ -104,8 +104,8 @@ def test_the_tool_covers_what_is_behind_it_and_nothing_before_it() -> None:
     view = _view(mesh)
     shape = Shape.of_mesh(mesh, mesh.points[:, 2])
     tool = range(Grey.TOOL, Grey.TOOL + 7)
-    above = draw_with_tool(shape, cylinder(0.01, 0.041, 0.03), view, 0.0, 0.04)
-    inside = draw_with_tool(shape, cylinder(0.01, 0.005, 0.03), view, 0.0, 0.04)
+    above = draw_with_tool(shape, tool_mesh(0.01, 0.041, 0.03), view, 0.0, 0.04)
+    inside = draw_with_tool(shape, tool_mesh(0.01, 0.005, 0.03), view, 0.0, 0.04)
     assert np.isin(above, tool).any()
     assert not np.isin(inside, tool).any()
 
@@ -117,3 +117,16 @@ def test_a_png_holds_the_picture() -> None:
     )
     read = cv2.imdecode(np.frombuffer(png(picture), np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(read[:, :, ::-1], picture)
+
+
+def test_the_tip_of_a_ball_is_drawn() -> None:
+    ball = tool_mesh(0.01, 0.03, 0.03, sphere=True)
+    assert ball.points[:, 2].min() == pytest.approx(0.03)
+    assert ball.points[:, 2].max() == pytest.approx(0.06)
+    low = ball.points[ball.points[:, 2] < 0.0399]
+    assert len(low) > 100
+    np.testing.assert_allclose(np.linalg.norm(low - [0.0, 0.0, 0.04], axis=1), 0.01, rtol=1e-9)
+    # Closed, and outward: the volume of half a ball with a cylinder on it.
+    a, b, c = (ball.points[ball.triangles[:, k]] for k in range(3))
+    volume = np.einsum('ij,ij->i', a, np.cross(b, c)).sum() / 6.0
+    assert volume == pytest.approx(np.pi * 0.01**2 * (0.02 + 0.02 / 3.0), rel=0.01)

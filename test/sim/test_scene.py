@@ -184,3 +184,33 @@ def test_the_same_seed_gives_the_same_clouds(config: WorldConfig) -> None:
 def test_a_dent_wider_than_the_block_is_refused(config: WorldConfig) -> None:
     with pytest.raises(InputError, match='does not fit on the block'):
         Scene(config.block, 0.030, config.range_sensor)
+
+
+def test_a_tool_that_ends_in_a_ball_is_seen_as_one(config: WorldConfig) -> None:
+    radius, tip = config.arm.tool_radius, config.block.height + 0.02
+    sensor = replace(config.range_sensor, dropout=0.0)
+    flat, ball = (
+        RangeRenderer(
+            Scene(config.block, radius, sensor, sphere),
+            width=160,
+            height=120,
+            depth_noise=0.0,
+            seed=1,
+        )
+        .render(tip, 0.0)
+        .reshape(-1, 3)
+        for sphere in (False, True)
+    )
+    changed = (flat != ball).any(axis=1) & np.isfinite(flat).all(axis=1)
+    assert np.count_nonzero(changed) > 50
+    # What the ball leaves free of the cylinder shows what is behind.
+    behind = changed & (ball[:, 2] <= config.block.height + 1e-6)
+    assert np.count_nonzero(behind) > 10
+    on_ball = ball[changed & ~behind]
+    assert len(on_ball) > 30
+    centre = np.array([0.0, 0.0, tip + radius])
+    np.testing.assert_allclose(np.linalg.norm(on_ball - centre, axis=1), radius, atol=1e-6)
+    assert on_ball[:, 2].max() <= tip + radius + 1e-6
+    assert on_ball[:, 2].min() < tip + 0.5 * radius
+    shaft = ball[ball[:, 2] > tip + 1.01 * radius]
+    np.testing.assert_allclose(np.hypot(shaft[:, 0], shaft[:, 1]), radius, atol=1e-6)

@@ -513,19 +513,42 @@ def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] |
     Return x and y of the tool's axis from its own returns above the object; None without enough.
 
     A single view hides the far side of the object, whose mass centre is then another; of the tool
-    it sees a known piece of a circle.
+    it sees a known piece of a circle. Above an object that a ball has been pressed into by less
+    than its radius, the circle is as large as the ball is there, where that fits better.
     """
     z = hold.points[:, 2] - max(top, hold.tool)
-    points = hold.points[(z > _TOOL_BAND[0]) & (z < _TOOL_BAND[1]), :2]
+    band = hold.points[(z > _TOOL_BAND[0]) & (z < _TOOL_BAND[1])]
+    points = band[:, :2]
     if len(points) < _LEAST_POINTS:
         return None
+    below = np.maximum(hold.tool + radius - band[:, 2], 0.0)
+    of_ball = np.sqrt(np.maximum(radius**2 - below**2, 0.0))
+    best: tuple[float, float] | None = None
+    least = np.inf
+    for radii in (np.full(len(points), radius), of_ball):
+        centre = _circle(points, radii, radius, hold.plane_noise)
+        if centre is None:
+            continue
+        off = np.abs(np.hypot(*(points - centre).T) - radii)
+        if np.mean(off < max(3.0 * hold.plane_noise, _FINEST)) < _MOST_OF_TOOL:
+            continue
+        if float(np.median(off)) < least:
+            least = float(np.median(off))
+            best = float(centre[0]), float(centre[1])
+    return best
+
+
+def _circle(
+    points: FloatArray, radii: FloatArray, radius: float, noise: float
+) -> FloatArray | None:
+    """Return the centre about which points are at their radii; None where it is not told."""
     centre = np.median(points, axis=0)
     for number in range(_ROUNDS):
         away = points - centre
         distance = np.maximum(np.hypot(*away.T), 1e-9)
-        residual = distance - radius
+        residual = distance - radii
         # All of them lead to the circle; only then it is seen what is not of it.
-        bound = 2.0 * radius if number < _ROUNDS // 2 else max(3.0 * hold.plane_noise, _FINEST)
+        bound = 2.0 * radius if number < _ROUNDS // 2 else max(3.0 * noise, _FINEST)
         inside = np.abs(residual) < bound
         if np.count_nonzero(inside) < _LEAST_POINTS:
             return None
@@ -534,7 +557,4 @@ def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] |
         if rank < 2:
             return None
         centre = centre + step
-    fits = np.abs(np.hypot(*(points - centre).T) - radius) < max(3.0 * hold.plane_noise, _FINEST)
-    if np.mean(fits) < _MOST_OF_TOOL:
-        return None
-    return float(centre[0]), float(centre[1])
+    return np.asarray(centre)

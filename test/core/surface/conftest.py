@@ -74,20 +74,26 @@ def record() -> Record:
 
     @cache
     def make(
-        *, yaw: float = 0.0, flat: bool = False, columns: int = 160, step: float = 0.25
+        *,
+        yaw: float = 0.0,
+        flat: bool = False,
+        columns: int = 160,
+        step: float = 0.25,
+        sphere: bool = False,
+        raised: float = 0.0,
     ) -> list[CloudFrame]:
         config = load_config()
         length, width, height = SIZE
         block = replace(
             config.block, length=length, width=width, height=height, yaw=yaw, rim_width=RIM
         )
-        scene = Scene(block, TOOL_RADIUS, config.range_sensor)
+        scene = Scene(block, TOOL_RADIUS, config.range_sensor, sphere)
         renderer = RangeRenderer(
             scene, width=columns, height=3 * columns // 4, depth_noise=NOISE, seed=0
         )
         frames = []
         for t in np.arange(0.0, 10.0, step).tolist():
-            tool = float(TOOL.at(np.array([t]))[0])
+            tool = float(TOOL.at(np.array([t]))[0]) + raised
             depth = max(true_depth(t), SIZE[2] - tool)
             cloud = renderer.render(tool, depth)
             frames.append(CloudFrame(t, cloud.reshape(-1, 3) if flat else cloud, 'support_plane'))

@@ -19,7 +19,7 @@ from dataclasses import replace
 import math
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.records import CloudFrame, Estimate
+from hapticvision_ros.core.records import CloudFrame, Estimate, Signal
 from hapticvision_ros.core.surface.cloud import CloudSettings, Observation, observe, Seen
 from hapticvision_ros.core.surface.compare import compare, seen_triangles
 from hapticvision_ros.core.surface.deformation import measure, patch_height
@@ -66,6 +66,20 @@ def test_the_axis_is_that_of_the_tool_and_x_the_longer_side(record: Record) -> N
     np.testing.assert_allclose(found.shift[:2], 0.0, atol=2e-4)
     turned = math.atan2(found.rotation[0, 1], found.rotation[0, 0])
     assert turned == pytest.approx(yaw, abs=0.02)
+
+
+def test_the_axis_of_a_ball_that_is_not_pressed_in_to_its_equator_is_found(
+    record: Record,
+) -> None:
+    raised = 0.0055
+    tool = Signal(TOOL.t, TOOL.value + raised)
+    flat, ball = (
+        observe(record(sphere=sphere, raised=raised), tool, PHASES, SETTINGS)
+        for sphere in (False, True)
+    )
+    assert ball.contact_source == 'tool'
+    # As if all of it were as wide as its shaft it was 0.08 mm aside.
+    np.testing.assert_allclose(ball.shift[:2], flat.shift[:2], atol=2e-5)
 
 
 def test_the_axis_of_a_tool_of_many_returns_is_found(record: Record) -> None:
