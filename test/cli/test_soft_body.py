@@ -25,7 +25,7 @@ from pathlib import Path
 
 from hapticvision_ros.cli.main import main
 from hapticvision_ros.sim import offline
-from hapticvision_ros.sim.config import load_config, SoftBodyModel
+from hapticvision_ros.sim.config import load_config, SoftBodyModel, WorldConfig
 from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.offline import CloudPlan, record_trial, TrialPlan
 from hapticvision_ros.sim.world import World
@@ -51,16 +51,21 @@ def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
     return made
 
 
-def test_clouds_that_bulge_tell_parameters_and_shape(tmp_path: Path, worlds: list[World]) -> None:
+def _cell(model: SoftBodyModel) -> WorldConfig:
+    """Return a cell whose object deforms as told."""
     cell = load_config()
-    cell = replace(
+    return replace(
         cell,
         block=replace(cell.block, length=LENGTH, width=WIDTH, height=HEIGHT, rim_width=0.004),
         load_cell=replace(cell.load_cell, rate=250.0),
         arm=replace(cell.arm, state_rate=100.0, tool_radius=0.008, start_height=0.042),
         range_sensor=replace(cell.range_sensor, rate=5.0, field_of_view=0.21, table_size=0.1),
-        soft_body=SoftBodyModel(pitch=0.005, step=5e-4, volume_ratio=1.0),
+        soft_body=model,
     )
+
+
+def test_clouds_that_bulge_tell_parameters_and_shape(tmp_path: Path, worlds: list[World]) -> None:
+    cell = _cell(SoftBodyModel(pitch=0.005, step=5e-4, volume_ratio=1.0))
     bag = tmp_path / 'push'
     plan = TrialPlan(push_speed=0.005, depth=DEPTH, hold_time=2.0, recover_time=1.5)
     clouds = CloudPlan(width=96, height=72, depth_noise=0.0003)
@@ -90,3 +95,33 @@ def test_clouds_that_bulge_tell_parameters_and_shape(tmp_path: Path, worlds: lis
     assert shape['bulge_m']['measured'] == pytest.approx(bulge, abs=3e-5)
     assert shape['bulge_m']['measured_std'] < 1e-5
     assert shape['bulge_m']['simulated'] == pytest.approx(bulge, abs=5e-5)
+
+
+def test_the_loop_over_real_clouds_finds_a_body_that_does_not_keep_its_volume(
+    tmp_path: Path,
+) -> None:
+    cell = _cell(SoftBodyModel(pitch=0.005, step=1e-3, volume_ratio=0.0))
+    clouds = CloudPlan(width=96, height=72, depth_noise=0.0003)
+    bags = []
+    for number, (speed, depth) in enumerate(((0.005, 0.003), (0.008, 0.004))):
+        plan = TrialPlan(push_speed=speed, depth=depth, hold_time=1.5, recover_time=1.0)
+        bags.append(str(tmp_path / f'push_{number}'))
+        record_trial(Path(bags[-1]), cell, TRUTH, plan, seed=number, clouds=clouds)
+    assert main(['fit', *bags, '--model', 'three-element', '--out', str(tmp_path / 'fit')]) == 0
+    command = ['shape', str(tmp_path / 'fit' / 'result.json'), *bags, '--tool-radius', '8mm']
+    command += ['--size', '60x40x20mm', '--cell', '5mm', '--rounds', '1', '--average', '3']
+    assert main([*command, '--close-loop', '--out', str(tmp_path / 'shape')]) == 0
+    table = json.loads((tmp_path / 'shape' / 'shapes.json').read_text())
+    first, *more = table['loop']
+    assert first['accepted'], first['verdict']
+    assert first['chosen'] == 'volume ratio 0'
+    assert first['held_out_after_m'] < 0.5 * first['held_out_before_m']
+    assert [turn['accepted'] for turn in more] == [False]
+    # The other tip has been tried, with a model of its own.
+    assert first['fitted_anew']['model'] == 'three-element+contact_growth'
+    assert set(first['fitted_anew']['parameters']) == {'K1', 'C1', 'C2', 'm'}
+    for bag in bags:
+        path = tmp_path / 'shape' / Path(bag).name / 'shape.json'
+        told = json.loads(path.read_text())
+        assert told['simulation']['volume_ratio'] == 0.0
+        assert told['fitted_anew'] is None
