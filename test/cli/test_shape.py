@@ -254,3 +254,20 @@ def test_a_folder_that_cannot_be_written_is_refused_first(
     shutil.copy(_result(tmp_path / 'result.json'), file)
     assert main(['shape', str(file), str(CLOUDS), *TOOL, '--out', str(file / 'out')]) == 2
     assert 'is a file: name a directory' in capsys.readouterr().err
+
+
+def test_what_was_fitted_anew_is_told_with_its_warnings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chain = {'K1': 2000.0, 'C1': 1600.0, 'C2': 2400.0}
+    doubt = 'C2 is known to a third only'
+    anew = Identified(Model(), chain, 0.005, anew=True, warnings=(doubt,))
+    monkeypatch.setattr('hapticvision_ros.cli.shape._identified', lambda *_: anew)
+    out = tmp_path / 'out'
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
+    arguments += ['--small', '--rounds', '1', '--cell', '5mm', '--out', str(out)]
+    assert main(arguments) == 0
+    document = json.loads((out / 'shape.json').read_text())
+    assert document['fitted_anew'] == chain
+    assert doubt in document['warnings']
+    assert doubt in (out / 'shape.html').read_text()

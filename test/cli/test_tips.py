@@ -14,11 +14,14 @@
 
 """What the force says under another tip of the tool than the declared one."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from hapticvision_ros.cli.tips import ByTip, Identified
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.fit import campaign
+from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.sim.campaigns import (
     Campaign,
     ForceNoise,
@@ -71,6 +74,19 @@ def test_under_a_sphere_a_contact_that_does_not_grow_leaves_the_chain(tmp_path: 
     found = ByTip(_bags(tmp_path), declared, sphere=False)(True)
     assert found.parameters['m'] == pytest.approx(0.0, abs=1e-3)
     assert found.parameters['K1'] == pytest.approx(BODY.K1, rel=0.03)
+
+
+def test_what_the_fit_warns_of_is_kept(
+    growing: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubting(*given: object) -> object:
+        return replace(fit(*given), warnings=('m is known to a third only',))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(campaign, 'fit', doubting)
+    of_tip = ByTip(growing, Identified(Model(), CHAIN, 0.004), sphere=False)
+    assert of_tip.anew is None
+    assert of_tip(True).warnings == ('m is known to a third only',)
+    assert of_tip.anew is of_tip(True)
 
 
 def test_nothing_is_read_where_no_model_changes(tmp_path: Path) -> None:
