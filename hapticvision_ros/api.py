@@ -29,7 +29,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.classification import Classification
@@ -229,14 +229,19 @@ def export(
     )
 
 
-def haptic(result: Fit) -> HapticStepper:
+def haptic(
+    result: Fit | str | PathLike[str], *, which: Literal['before', 'after'] | None = None
+) -> HapticStepper:
     """
     Return the fitted body as a step function for a haptic renderer.
 
     Parameters
     ----------
-    result : Fit
-        The fit.
+    result : Fit or path
+        The fit, or the result.json of one.
+    which : {'before', 'after'}, optional
+        Of a result.json, the base model or the one with what it lacked; by default the latter
+        where there is one.
 
     Returns
     -------
@@ -245,10 +250,19 @@ def haptic(result: Fit) -> HapticStepper:
 
     Raises
     ------
+    InputError
+        If the file is no result.
     UsageError
         If the trials have not told a parameter, or an effect has no step of its own.
 
     """
+    if not isinstance(result, Fit):
+        # Only a notebook that reads a file needs what reads it.
+        from hapticvision_ros.cli.export import deepest, fitted_model
+
+        path = Path(result)
+        model, estimates, _ = fitted_model(path, which)
+        return HapticStepper(model, known_values(model, estimates), reference_depth=deepest(path))
     return HapticStepper(
         result.model,
         known_values(result.model, result.parameters),

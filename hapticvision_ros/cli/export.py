@@ -194,6 +194,22 @@ def _correlation(rows: list[list[float | None]] | None, size: int) -> 'FloatArra
     return matrix
 
 
+def deepest(path: Path) -> float | None:
+    """Return the depth of the deepest push of a result [m]; None where no trial told one."""
+    return max((depth for depth in depths(read_result(path)) if depth is not None), default=None)
+
+
+def depths(result: Mapping[str, Any]) -> list[float | None]:
+    """Return the depths of the trials of a result [m]."""
+    try:
+        found = [one.get('depth_m') for one in result.get('trials', [])]
+        return [None if depth is None else float(depth) for depth in found]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(
+            f'the result does not hold its trials ({error}): write it anew with hapticvision fit.'
+        ) from error
+
+
 def read_result(path: Path) -> dict[str, Any]:
     """Return the document of a result."""
     try:

@@ -29,7 +29,7 @@ from pathlib import Path
 import re
 from typing import Any, Final, TYPE_CHECKING
 
-from hapticvision_ros.cli.export import fitted_model, quantity, read_result
+from hapticvision_ros.cli.export import depths, fitted_model, quantity, read_result
 from hapticvision_ros.cli.fit import Progress, write_json
 from hapticvision_ros.cli.tips import ByTip, Identified
 from hapticvision_ros.core.errors import InputError, UsageError
@@ -162,8 +162,8 @@ def _identified(path: Path, which: str | None, result: Mapping[str, Any]) -> Ide
     from hapticvision_ros.core.export import known_values
 
     model, estimates = fitted_model(path, which)[:2]
-    depths = [depth for depth in _depths(result) if depth is not None]
-    return Identified(model, known_values(model, estimates), max(depths, default=None))
+    deepest = max((depth for depth in depths(result) if depth is not None), default=None)
+    return Identified(model, known_values(model, estimates), deepest)
 
 
 def _folders(bags: Sequence[Path], out: Path) -> list[Path]:
@@ -427,17 +427,6 @@ def _study(
         told = (_anew(identified), *identified.warnings)
         study = replace(study, warnings=(*study.warnings, *told))
     return study
-
-
-def _depths(result: Mapping[str, Any]) -> list[float | None]:
-    """Return the depths of the trials of a result [m]."""
-    try:
-        depths = [one.get('depth_m') for one in result.get('trials', [])]
-        return [None if depth is None else float(depth) for depth in depths]
-    except (AttributeError, TypeError, ValueError) as error:
-        raise InputError(
-            f'the result does not hold its trials ({error}): write it anew with hapticvision fit.'
-        ) from error
 
 
 def _print(study: 'ShapeStudy', warnings: Iterable[str]) -> None:

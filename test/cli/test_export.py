@@ -19,8 +19,13 @@ from pathlib import Path
 import subprocess
 import sys
 
+from hapticvision_ros import Campaign, fit, haptic, Model
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.core.errors import InputError
+import numpy as np
 import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
 
 SIZE = ['--area', '20cm2', '--height', '40mm']
 FINITE_ELEMENTS = [*SIZE, '--poisson', '0.45']
@@ -202,3 +207,19 @@ def test_arguments_are_checked_without_numerics() -> None:
         [sys.executable, '-c', code], stderr=subprocess.DEVNULL, timeout=60, check=False
     )
     assert done.returncode == 0
+
+
+def test_a_stepper_from_a_result_is_that_of_the_fit(tmp_path: Path) -> None:
+    bag = str(ROOT / 'bags' / 'synthetic_soft_block' / 'speed_5mm_s_depth_8mm')
+    # Damage counts from the depth of the deepest push, which the file has to tell.
+    name = 'three-element+damage'
+    assert main(['fit', bag, '--model', name, '--out', str(tmp_path)]) == 0
+    from_file = haptic(tmp_path / 'result.json')
+    from_fit = haptic(fit(Campaign.read(bag), Model.parse(name)))
+    path = np.concatenate([np.linspace(0.0, 0.006, 300), np.full(200, 0.006), np.zeros(100)])
+    forces = np.array([[body.step(depth) for depth in path] for body in (from_file, from_fit)])
+    assert forces.max() > 1.0
+    np.testing.assert_allclose(forces[0], forces[1], atol=2e-3 * forces.max())
+    assert haptic(tmp_path / 'result.json', which='before').step(0.001) > 0.0
+    with pytest.raises(InputError, match='cannot be read'):
+        haptic(str(tmp_path / 'no_result.json'))
