@@ -79,13 +79,15 @@ def test_under_a_sphere_a_contact_that_does_not_grow_leaves_the_chain(tmp_path: 
 def test_what_the_fit_warns_of_is_kept(
     growing: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    doubt = ('m is known to a third only',)
+
     def doubting(*given: object) -> object:
-        return replace(fit(*given), warnings=('m is known to a third only',))  # type: ignore[arg-type]
+        return replace(fit(*given), warnings=doubt)  # type: ignore[arg-type]
 
     monkeypatch.setattr(campaign, 'fit', doubting)
     of_tip = ByTip(growing, Identified(Model(), CHAIN, 0.004), sphere=False)
     assert of_tip.anew is None
-    assert of_tip(True).warnings == ('m is known to a third only',)
+    assert of_tip(True).warnings == doubt
     assert of_tip.anew is of_tip(True)
 
 
