@@ -452,9 +452,10 @@ class Pressed:
         # balance, which is what the tool still bore when it was leaving.
         out_before = np.zeros_like(start)
         carried = np.zeros_like(start)
+        end = 1.0
         if self.ends.size and not contact.slides:
             out_before = self.ends_out()
-            end = q[forces.SERIES_END]
+            end = float(q[forces.SERIES_END])
             carried = (end - 1.0) / end * out_before
         self.x1[:] = self.x0
         if speed is not None:
@@ -485,8 +486,8 @@ class Pressed:
                 left = was & ~contact.by_tool
                 force = float(net[on, 2].sum()) + max(float(carried[left, 2].sum()), 0.0)
                 first = float(out_before[was, 2].sum())
-                self.end_force = first + q[forces.SERIES_END] * (force - first)
-                self._leaving(net, out_before, holds, left, q[forces.SERIES_END])
+                self.end_force = first + end * (force - first)
+                self._leaving(net, out_before, holds, left, end)
                 self.largest = max(self.largest, abs(force))
                 return force, on.size
             if not stale and (out > _POOR * last or contact.slides):
