@@ -26,6 +26,7 @@ from importlib.util import find_spec
 import time
 from typing import Any, Final
 
+from hapticvision_ros.bag.clouds import read_layout
 from hapticvision_ros.bag.contract import (
     ADD_VIEW,
     CLEAR_VIEWS,
@@ -61,6 +62,7 @@ from hapticvision_ros.nodes.conversions import (
     vector_to_message,
     xyz_from_message,
 )
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Heard, Level, worst
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import (
@@ -289,6 +291,47 @@ PARAMETERS: Final = (
 )
 
 
+class _Clouds:
+    """
+    What was last heard of a range sensor.
+
+    Parameters
+    ----------
+    topic : str
+        Of its clouds.
+
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.heard = Heard(f'A cloud on {topic}', topic)
+        self._latest: tuple[bytes, int] | None = None
+
+    def note(self, serialised: bytes, now_ns: int) -> None:
+        """Note a cloud that came at a time [ns since the epoch]."""
+        self.heard.note()
+        self._latest = serialised, now_ns
+
+    def finding(self, longest: float) -> Finding:
+        """Return how the clouds come; missed where none came for `longest` [s]."""
+        silence = self.heard.finding(longest)
+        if self._latest is None:
+            return silence
+        serialised, now_ns = self._latest
+        try:
+            layout = read_layout(memoryview(serialised))
+        except ValueError as error:
+            said = f'A cloud on {self.topic} cannot be used: {error}.'
+            return worst([silence, Finding(Level.WARN, said)], '')
+        values = {
+            f'{self.topic}_width': layout.width,
+            f'{self.topic}_height': layout.height,
+            f'{self.topic}_frame': layout.frame_id,
+            f'{self.topic}_delay_s': (now_ns - layout.stamp_ns) / NS_PER_S,
+        }
+        return worst([silence, Finding(Level.OK, '', values)], '')
+
+
 class ContactPointPlanner(CellNode):
     """Answer the plan service, and publish what was planned."""
 
@@ -306,6 +349,8 @@ class ContactPointPlanner(CellNode):
         self._known_poses = known_poses(values.text('sensor_frames'), values.reals('sensor_poses'))
         self._frames = FrameTree()
         self._sensor_poses = FrameTree()
+        self._plans = self._refusals = 0
+        self._answered: tuple[Level, str, float] | None = None
         self._image: Any = None
         self._info: Any = None
         self._contact_point = create_publisher(self, CONTACT_POINT)
@@ -315,6 +360,9 @@ class ContactPointPlanner(CellNode):
         self._object = create_publisher(self, OBJECT)
         self._shape = create_publisher(self, SHAPE)
         self._topics = (POINTS.name, *values.text('other_points').split())
+        self._clouds = {topic: _Clouds(topic) for topic in self._topics}
+        self._tool_heard = Heard(f'The tool height on {TOOL_HEIGHT.name}', 'tool_height')
+        self._image_heard = Heard(f'A picture on {values.text("image_topic")}', 'picture')
         create_subscription(
             self, POINTS, lambda cloud: self._on_cloud(POINTS.name, cloud), raw=True
         )
@@ -327,6 +375,9 @@ class ContactPointPlanner(CellNode):
         create_service(self, PLAN, self._plan, callback_group=group)
         create_service(self, ADD_VIEW, self._add_view, callback_group=group)
         create_service(self, CLEAR_VIEWS, self._clear_views)
+        diagnostics = self._diagnostics = Diagnostics(self)
+        diagnostics.add('clouds', self._find_clouds)
+        diagnostics.add('plan', self._find_plan)
 
     def _listen(self, topic: str) -> None:
         """Listen to the clouds of a further sensor."""
@@ -367,6 +418,7 @@ class ContactPointPlanner(CellNode):
 
     def _on_image(self, message: Any) -> None:
         self._image = message
+        self._image_heard.note()
 
     def _on_info(self, message: Any) -> None:
         self._info = message
@@ -391,6 +443,7 @@ class ContactPointPlanner(CellNode):
         self._sensor_poses.put(message.header.frame_id, SENSOR_POSE.name, pose, stamp_ns)
 
     def _on_cloud(self, topic: str, serialised: bytes) -> None:
+        self._clouds[topic].note(serialised, self.get_clock().now().nanoseconds)
         waiting = self._waiting.pop(topic, None)
         if waiting is not None:
             waiting.set_result(serialised)
@@ -398,6 +451,7 @@ class ContactPointPlanner(CellNode):
     def _latest_tool_height(self) -> float | None:
         for message, _, _ in self._tool_heights.take():
             self._tool_height = float(message.data)
+            self._tool_heard.note()
         return self._tool_height
 
     async def _plan(self, request: Any, response: Any) -> Any:
@@ -425,14 +479,51 @@ class ContactPointPlanner(CellNode):
         self._busy = True
         try:
             response.message = await action()
+            self._plans += action == self._plan_and_publish
+            self._tell(Level.OK, response.message)
         except InputError as error:
             response.message = str(error)
+            self._refusals += 1
+            self._tell(Level.WARN, response.message)
             self._object.publish(status_to_message(NAME, str(error), {}, warning=True))
             return response
         finally:
             self._busy = False
         response.success = True
         return response
+
+    def _tell(self, level: Level, message: str) -> None:
+        """Keep an answer for the diagnostics."""
+        self._answered = level, message, time.monotonic()
+        self._diagnostics.hasten()
+
+    def _find_clouds(self) -> Finding:
+        """Return what a plan would have to wait for."""
+        longest = self.parameters.real('cloud_timeout')
+        self._latest_tool_height()
+        findings = [clouds.finding(longest) for clouds in self._clouds.values()]
+        findings.append(self._tool_heard.finding(longest))
+        if self.parameters.text('image_topic'):
+            findings.append(self._image_heard.finding(longest))
+            if self._info is None:
+                topic = self.parameters.text('camera_info_topic')
+                findings.append(Finding(Level.WARN, f'No CameraInfo has come on {topic} yet.'))
+        return worst(findings, 'Clouds and tool height come.')
+
+    def _find_plan(self) -> Finding:
+        """Return what became of the last plan or view that was asked for."""
+        values: dict[str, object] = {
+            'plans': self._plans,
+            'refusals': self._refusals,
+            'views_kept': len(self._views),
+        }
+        if self._busy:
+            return Finding(Level.OK, 'A view or a plan is being made.', values)
+        if self._answered is None:
+            return Finding(Level.OK, 'No plan has been asked for.', values)
+        level, message, answered = self._answered
+        values['age_s'] = time.monotonic() - answered
+        return Finding(level, message, values)
 
     def _forget(self) -> None:
         self._views, self._pictures, self._ceilings = [], [], []

@@ -22,6 +22,7 @@ it, all of its findings are sent together.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+import time
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -146,6 +147,55 @@ def worst(findings: Sequence[Finding], good: str) -> Finding:
     said = ' '.join(finding.message for finding in findings if finding.level is not Level.OK)
     values = {key: value for finding in findings for key, value in finding.values.items()}
     return Finding(level, said or good, values)
+
+
+class Heard:
+    """
+    When a stream was last heard, by the steady clock; to be noted from one thread.
+
+    Parameters
+    ----------
+    name : str
+        What the stream is called, as the subject of a sentence.
+    key : str
+        What its values begin with.
+
+    """
+
+    def __init__(self, name: str, key: str) -> None:
+        self._name = name
+        self._key = key
+        self._last: float | None = None
+        self._count = 0
+
+    def note(self, count: int = 1) -> None:
+        """Note that so many messages have just come."""
+        if count:
+            self._last = time.monotonic()
+            self._count += count
+
+    @property
+    def age(self) -> float | None:
+        """Return how long ago the last message came [s], or None before the first."""
+        return None if self._last is None else time.monotonic() - self._last
+
+    def finding(self, longest: float) -> Finding:
+        """
+        Return whether the stream is heard.
+
+        Parameters
+        ----------
+        longest : float
+            A stream that is silent for longer is missed [s].
+
+        """
+        age = self.age
+        values = {f'{self._key}_count': self._count, f'{self._key}_age_s': age}
+        if age is None:
+            return Finding(Level.WARN, f'{self._name} has not come yet.', values)
+        if age > longest:
+            return Finding(Level.WARN, f'{self._name} has not come for {age:.3g} s.', values)
+        return Finding(Level.OK, '', values)
 
 
 def _text(value: object) -> str:

@@ -35,13 +35,14 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.core.segmentation import OnlineSegmenter, PhaseEvent, SegmentationOptions
-from hapticvision_ros.nodes.clock import EXACT_REPLAY, MessageClock
+from hapticvision_ros.nodes.clock import CLOCK, EXACT_REPLAY, MessageClock
 from hapticvision_ros.nodes.conversions import (
     contact_force,
     ns_from_stamp,
     scalar_to_message,
     text_to_message,
 )
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Heard, Level, worst
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher
@@ -124,6 +125,12 @@ _REMEMBERED: Final = 20000
 _PATIENCE: Final = 25
 """A stream that is silent for so many periods is not waited for."""
 _BEGIN, _HEIGHT, _FORCE, _LAST = range(4)
+_FOUND_BY: Final = {
+    'release': ('contact',),
+    'recover': ('contact',),
+    'done': ('contact', 'release'),
+}
+"""What has been found in the signals by the time that the arm is told so: later it is missed."""
 _NS_PER_S: Final = 1e9
 
 
@@ -152,7 +159,13 @@ class PhaseSegmenter(CellNode):
         self._alone = 0
         self._told: str | None = None
         self._commanded = False
+        self._command: str | None = None
+        self._found: dict[str, float] = {}
+        self._no_numbers = 0
         self._highest: float | None = None
+        self._force_heard = Heard(f'The force on {WRENCH.name}', 'force')
+        self._height_heard = Heard(f'The tool height on {TOOL_HEIGHT.name}', 'tool_height')
+        self._silence = _PATIENCE * values.real('tick_period')
 
         exact = self._message_clock.exact
         self._phase_intake = Intake.of(self, PHASE)
@@ -164,6 +177,9 @@ class PhaseSegmenter(CellNode):
             'hold': create_publisher(self, HOLD_TIME),
             'release': create_publisher(self, RELEASE_TIME),
         }
+        diagnostics = self._diagnostics = Diagnostics(self)
+        diagnostics.add('streams', self._find_streams)
+        diagnostics.add('phase', self._find_phase)
         self.create_timer(
             values.real('tick_period'),
             self._on_tick,
@@ -172,14 +188,16 @@ class PhaseSegmenter(CellNode):
 
     def _on_tick(self) -> None:
         """Take what has come, and give it to the segmenter in the order of time."""
-        phases = [
-            (sent, message.data == 'approach') for message, sent, _ in self._phase_intake.take()
-        ]
+        told = [(sent, message.data) for message, sent, _ in self._phase_intake.take()]
+        phases = [(sent, phase == 'approach') for sent, phase in told]
         forces = [
             (ns_from_stamp(message.header.stamp), _FORCE, contact_force(message))
             for message, _, _ in self._wrench_intake.take()
         ]
         heights = [(sent, float(message.data)) for message, sent, _ in self._height_intake.take()]
+        self._force_heard.note(len(forces))
+        self._height_heard.note(len(heights))
+        self._command = told[-1][1] if told else self._command
         # After the messages, so that the tick that was sent before each of them is there.
         self._message_clock.update()
         self._commanded = self._commanded or bool(phases)
@@ -238,11 +256,13 @@ class PhaseSegmenter(CellNode):
         self._segmenter = OnlineSegmenter(self._options)
         self._start_ns = None
         self._highest = None
+        self._found = {}
         self._tell('approach')
 
     def _add(self, stamp: int, is_force: bool, value: float) -> None:
         """Give the segmenter one sample."""
         if not math.isfinite(value):
+            self._no_numbers += 1
             return
         if self._start_ns is not None and abs(stamp - self._newest_ns) > self._longest_pause_ns:
             self._begun_ns = None
@@ -271,6 +291,7 @@ class PhaseSegmenter(CellNode):
             self._begin()
 
     def _on_event(self, event: PhaseEvent) -> None:
+        self._found[event.kind] = event.t
         publisher = self._time_publishers.get(event.kind)
         if publisher is not None and self._start_ns is not None:
             publisher.publish(scalar_to_message(self._start_ns / _NS_PER_S + event.t))
@@ -280,6 +301,42 @@ class PhaseSegmenter(CellNode):
         if phase != self._told:
             self._told = phase
             self._phase_publisher.publish(text_to_message(phase))
+            self._diagnostics.hasten()
+
+    def _find_streams(self) -> Finding:
+        """Return which of the signals are missing."""
+        findings = [
+            Finding(
+                Level.OK,
+                '',
+                {'waiting': len(self._waiting), 'no_numbers': self._no_numbers},
+            ),
+            *(heard.finding(self._silence) for heard in (self._force_heard, self._height_heard)),
+        ]
+        if self._message_clock.replay and not self._message_clock.matched:
+            # Without it no message of a replay has a time, and nothing is used.
+            findings.append(Finding(Level.WARN, f'Nobody tells the time on {CLOCK}.'))
+        return worst(findings, 'Force and tool height come.')
+
+    def _find_phase(self) -> Finding:
+        """Return what has been found in the signals, and what is missed in them."""
+        began = self._start_ns is not None
+        values: dict[str, object] = {
+            'phase': self._told,
+            'commanded': self._command,
+            'trial_s': (self._newest_ns - (self._start_ns or 0)) / _NS_PER_S if began else None,
+            **{f'{kind}_s': t for kind, t in self._found.items()},
+        }
+        if not began:
+            return Finding(Level.OK, 'No sample of a trial has come yet.', values)
+        missed = [one for one in _FOUND_BY.get(self._command or '', ()) if one not in self._found]
+        if missed:
+            said = (
+                f"The arm is at '{self._command}', but the signals show no "
+                f'{" and no ".join(missed)}.'
+            )
+            return Finding(Level.WARN, said, values)
+        return Finding(Level.OK, f"The signals show the phase '{self._told}'.", values)
 
 
 def main() -> int:

@@ -49,6 +49,7 @@ from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.nodes.clock import CLOCK, EXACT_REPLAY, MessageClock, Nanoseconds
 from hapticvision_ros.nodes.conversions import scalar_to_message, status_to_message
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Heard, Level, worst
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_service
@@ -137,6 +138,13 @@ class _State(Enum):
     COLLECTING = auto()
     ENDING = auto()
     IDLE = auto()
+
+
+_DOING: Final = {
+    _State.COLLECTING: 'A trial is kept, or what may become one.',
+    _State.ENDING: 'The trial is over: its last messages are waited for.',
+    _State.IDLE: 'No trial is under way.',
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +273,13 @@ class RheologyFitter(CellNode):
         self._ended_ns: int | None = None
         self._heard = time.monotonic()
         self._trials = 0
+        self._fitted = 0
+        self._aborted = False
+        self._last: Finding | None = None
+        self._needed = {
+            WRENCH: Heard(f'The force on {WRENCH.name}', 'force'),
+            TOOL_HEIGHT: Heard(f'The tool height on {TOOL_HEIGHT.name}', 'tool_height'),
+        }
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._outcomes: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
 
@@ -282,6 +297,9 @@ class RheologyFitter(CellNode):
         self._result = create_publisher(self, RHEOLOGY_RESULT)
         create_service(self, FIT, self._on_fit)
         create_service(self, RESET, self._on_reset)
+        diagnostics = self._diagnostics = Diagnostics(self)
+        diagnostics.add('trial', self._find_trial)
+        diagnostics.add('result', self._find_result)
         self.create_timer(
             self.parameters.real('tick_period'),
             self._on_tick,
@@ -341,8 +359,9 @@ class RheologyFitter(CellNode):
             for data, sent_ns, _ in intake.take():
                 if topic is PHASE:
                     self._on_phase(str(deserialize_message(data, String).data), sent_ns)
-                if topic in (WRENCH, TOOL_HEIGHT):
+                if topic in self._needed:
                     self._heard = time.monotonic()
+                    self._needed[topic].note()
                 if self._state is not _State.IDLE:
                     self._buffer.add(topic, data, sent_ns)
         # After the messages, so that the tick that was sent before each of them is there.
@@ -357,6 +376,7 @@ class RheologyFitter(CellNode):
             self._end(sent_ns)
         elif phase == 'aborted' and self._state is _State.COLLECTING:
             self._state = _State.IDLE
+            self._aborted = True
 
     def _begin(self) -> None:
         """Begin a new trial with empty hands."""
@@ -366,6 +386,7 @@ class RheologyFitter(CellNode):
         self._buffer = TrialBuffer(self.parameters.integer('memory'))
         self._message_clock.forget(_TICKS_BEFORE_A_TRIAL)
         self._state = _State.COLLECTING
+        self._aborted = False
         self._ended_ns = None
 
     def _end(self, sent_ns: int | None) -> None:
@@ -413,9 +434,49 @@ class RheologyFitter(CellNode):
             self._outcomes.put(_Outcome(job.number, analysis))
             self._outcomes.put(_Outcome(job.number, analysis, whole_values(analysis)))
 
+    def _find_trial(self) -> Finding:
+        """Return what is kept of the trial at hand, and what it lacks."""
+        buffer = self._buffer
+        values: dict[str, object] = {
+            'trial': self._trials + (self._state is not _State.IDLE),
+            'state': self._state.name.lower(),
+            'messages': len(buffer),
+            'forces': buffer.count(WRENCH),
+            'tool_heights': buffer.count(TOOL_HEIGHT),
+            'left_out': buffer.left_out,
+        }
+        findings = [Finding(Level.OK, '', values)]
+        longest = self.parameters.real('quiet_time')
+        findings += [heard.finding(longest) for heard in self._needed.values()]
+        if buffer.left_out:
+            said = f'{buffer.left_out} messages of the trial found no room: raise memory.'
+            findings.append(Finding(Level.WARN, said))
+        if self._aborted:
+            said = 'The push was aborted: the trial is not fitted.'
+            findings.append(Finding(Level.WARN, said))
+        return worst(findings, _DOING[self._state])
+
+    def _find_result(self) -> Finding:
+        """Return what the last trial has told, or why nothing."""
+        values: dict[str, object] = {'trials': self._trials, 'fitted': self._fitted}
+        last = self._last
+        if self._fitted < self._trials:
+            return Finding(Level.OK, f'Trial {self._fitted + 1} is being fitted.', values)
+        if last is None:
+            return Finding(Level.OK, 'No trial has come to its end yet.', values)
+        return Finding(last.level, last.message, values | dict(last.values))
+
+    def _remember(self, number: int, level: Level, message: str) -> None:
+        """Keep what a trial has told for the diagnostics."""
+        self._fitted = number
+        self._last = Finding(level, message, {TRIAL: number})
+        self._diagnostics.hasten()
+
     def _publish(self, outcome: _Outcome) -> None:
         result = outcome.analysis
         if isinstance(result, InputError):
+            said = f'Trial {outcome.number} gave no result: {result}'
+            self._remember(outcome.number, Level.WARN, said)
             values = {TRIAL: str(outcome.number)}
             message = status_to_message('rheology', str(result), values)
             message.level = DiagnosticStatus.ERROR
@@ -433,6 +494,8 @@ class RheologyFitter(CellNode):
         values = {TRIAL: str(outcome.number), **result_values(result), **outcome.whole}
         known = all(estimate.known for estimate in estimates.values())
         self._result.publish(status_to_message('rheology', text, values, warning=not known))
+        level = Level.OK if known else Level.WARN
+        self._remember(outcome.number, level, f'{result.trial.name}: {text}.')
         self.get_logger().info(f'{result.trial.name}, whole waveform: {_told(outcome.whole)}')
 
 

@@ -77,6 +77,11 @@ class TrialBuffer:
         """Return the number of messages."""
         return sum(len(rows.sent) for rows in self._rows.values()) + self._cloud_count
 
+    @property
+    def left_out(self) -> int:
+        """Return the number of messages for which there was no room."""
+        return self._left_out
+
     def count(self, topic: Topic) -> int:
         """Return the number of messages of a topic other than the clouds'."""
         rows = self._rows.get(topic.name)

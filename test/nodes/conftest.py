@@ -216,6 +216,38 @@ def ros(ros_domain: int) -> Iterator[None]:
     rclpy.try_shutdown()
 
 
+class Diagnosis:
+    """What one node says of itself on ``/diagnostics``."""
+
+    def __init__(self, probe: Probe, node_name: str) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from hapticvision_ros.nodes.diagnostics import DIAGNOSTICS
+
+        self._name = node_name
+        self._heard: list[Any] = []
+        probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._heard.append, 100)
+
+    def wait(self, name: str, condition: Callable[[Any, dict[str, str]], Any], what: str) -> Any:
+        """Return the first status from now on for which a condition on it and its values holds."""
+        seen = len(self._heard)
+
+        def found() -> Any:
+            for array in self._heard[seen:]:
+                for status in array.status:
+                    values = {item.key: item.value for item in status.values}
+                    if status.name == f'{self._name}: {name}' and condition(status, values):
+                        return status
+            return None
+
+        return wait_until(found, what)
+
+
+@pytest.fixture
+def diagnosis(probe: Probe) -> Callable[[str], Diagnosis]:
+    """Listen to what a node says of itself: ``diagnosis('load_cell_driver').wait(...)``."""
+    return lambda node_name: Diagnosis(probe, node_name)
+
+
 @pytest.fixture
 def probe(ros: None) -> Iterator[Probe]:
     """Give the test a node of its own."""

@@ -220,6 +220,59 @@ def test_poses_in_the_parameters_are_seven_numbers_a_frame():
         known_poses('left right', left)
 
 
+def test_the_planner_tells_what_it_hears_and_what_became_of_a_plan(
+    start_node, probe, show, diagnosis
+):
+    planner = diagnosis('contact_point_planner')
+    start_node('contact_point_planner', {'cloud_timeout': 1.0})
+    silent = planner.wait('clouds', lambda s, v: s.level == s.WARN, 'the missing clouds told')
+    assert 'A cloud on /range_sensor/points has not come yet.' in silent.message
+    assert 'The tool height on /arm/tool_height has not come yet.' in silent.message
+    idle = planner.wait('plan', lambda s, v: True, 'the state of the plan')
+    assert (idle.level, idle.message) == (idle.OK, 'No plan has been asked for.')
+    assert not probe.call(PLAN, Trigger.Request(), DEADLINE).success
+    refused = planner.wait('plan', lambda s, v: s.level == s.WARN, 'the refusal told')
+    assert 'No cloud came within 1 s' in refused.message
+    assert values_from_status(refused)['refusals'] == '1'
+
+    # Clouds of this size lose their way on a loaded machine.
+    assert all(
+        r.successful
+        for r in probe.set_parameters('contact_point_planner', {'cloud_timeout': 20.0})
+    )
+    show(top_view((0.004, -0.003, 0.08, 0.05)))
+    heard = planner.wait('clouds', lambda s, v: s.level == s.OK, 'the clouds told')
+    values = values_from_status(heard)
+    assert heard.message == 'Clouds and tool height come.'
+    assert (values['/range_sensor/points_width'], values['/range_sensor/points_height']) == (
+        '300',
+        '200',
+    )
+    assert values['/range_sensor/points_frame'] == 'support_plane'
+    assert float(values['/range_sensor/points_age_s']) < 20.0
+    # Stamped just before they were sent, by the same clock.
+    assert 0.0 < float(values['/range_sensor/points_delay_s']) < 20.0
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert answer.success, answer.message
+    planned = planner.wait('plan', lambda s, v: v['plans'] == '1', 'the plan told')
+    assert (planned.level, planned.message) == (planned.OK, answer.message)
+
+
+def test_the_planner_tells_of_clouds_that_cannot_be_used(start_node, probe, diagnosis, until):
+    planner = diagnosis('contact_point_planner')
+    start_node('contact_point_planner')
+    publisher = probe.publisher(POINTS)
+    cloud = cloud_to_message(RangeFrame(0, top_view()[:4]), POINTS.frame_id)
+    cloud.fields = cloud.fields[:2]
+    timer = probe.node.create_timer(0.05, lambda: publisher.publish(cloud))
+    try:
+        bad = planner.wait('clouds', lambda s, v: 'cannot be used' in s.message, 'the field told')
+    finally:
+        probe.node.destroy_timer(timer)
+    assert 'it has no field z' in bad.message
+    assert bad.level == bad.WARN
+
+
 def camera_info(height, width, focal):
     projection = [focal, 0.0, 2.0, 0.0, 0.0, focal, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     return CameraInfo(height=height, width=width, p=projection)
