@@ -15,6 +15,7 @@
 """Clouds and depth images of a range sensor, brought into the frame `support_plane`."""
 
 from dataclasses import dataclass
+from math import isfinite
 import sys
 from typing import Final
 
@@ -26,6 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 type DepthArray = NDArray[np.uint16] | NDArray[np.float32]
+
+_COEFFICIENTS: Final = (4, 5, 8, 12, 14)
+"""Numbers of coefficients that OpenCV knows."""
 
 _FORMATS: Final = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 
@@ -56,15 +60,22 @@ class Camera:
 
     def __post_init__(self) -> None:
         fx, fy, _, _ = self.matrix
-        if not (self.width > 0 and self.height > 0 and fx > 0.0 and fy > 0.0):
+        finite = all(map(isfinite, (*self.matrix, *self.distortion)))
+        if not (finite and self.width > 0 and self.height > 0 and fx > 0.0 and fy > 0.0):
             raise InputError(
-                'The camera is not calibrated (its CameraInfo has no size or no focal length): '
+                'The camera is not calibrated (its CameraInfo has no size, no focal '
+                'length, or what is no number): '
                 'calibrate it, or name another camera_info topic.'
             )
         if any(self.distortion) and self.model not in ('plumb_bob', 'rational_polynomial'):
             raise InputError(
                 f"The camera's distortion model is {self.model!r}, but plumb_bob and "
                 'rational_polynomial are known: use the rectified depth image.'
+            )
+        if self.distortion and len(self.distortion) not in _COEFFICIENTS:
+            raise InputError(
+                f"The camera's distortion has {len(self.distortion)} coefficients, where "
+                'plumb_bob has 5 and rational_polynomial 8: calibrate it again.'
             )
 
 

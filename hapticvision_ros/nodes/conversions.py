@@ -38,6 +38,7 @@ from std_msgs.msg import Float64, String
 NS_PER_S: Final = 1_000_000_000
 
 _XYZ: Final = ('x', 'y', 'z')
+_FLOAT32_SIZE: Final = 4
 _CHANNELS: Final = {'mono8': 1, 'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4}
 
 
@@ -220,7 +221,8 @@ def xyz_from_message(message: Any) -> PointArray:
     Raises
     ------
     InputError
-        If x, y or z is missing or no float32, or the data are shorter than the message says.
+        If x, y or z is missing, no float32 or outside of the point, or the data are shorter than
+        the message says.
 
     """
     offsets = {
@@ -234,9 +236,19 @@ def xyz_from_message(message: Any) -> PointArray:
         )
     height, width = int(message.height), int(message.width)
     point_step, row_step = int(message.point_step), int(message.row_step)
-    needed = (height - 1) * row_step + (width - 1) * point_step + max(offsets.values()) + 4
     if height == 0 or width == 0:
         return np.empty((height, width, 3), dtype=np.float32)
+    if max(offsets.values()) + _FLOAT32_SIZE > point_step:
+        # Steps of zero would make a cloud of any size out of a few bytes.
+        raise InputError(
+            f"A cloud's x, y or z lies outside of its point of {point_step} bytes: the message "
+            'contradicts itself.'
+        )
+    packed = width * point_step
+    if row_step < packed or height == 1:
+        # Some drivers leave it at zero; without padding it follows from the rest.
+        row_step = packed
+    needed = (height - 1) * row_step + packed
     if len(message.data) < needed:
         raise InputError(
             f'A cloud of {height} x {width} points needs {needed} bytes but holds '

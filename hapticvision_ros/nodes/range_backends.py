@@ -137,7 +137,8 @@ RANGE_PARAMETERS: Final = (
         'largest_age',
         'double',
         's',
-        'A frame that was measured longer ago when it arrives is left out.',
+        'A frame that was measured longer ago when it arrives is left out, and one that is '
+        'stamped farther ahead.',
         0.001,
         60.0,
         read_only=True,
@@ -226,6 +227,12 @@ class _TopicSensor(ABC):
                 f'its frames are {age_ns / NS_PER_S:.3g} s old, more than largest_age: set the '
                 "clocks of the machines by each other, or lower the sensor's rate"
             )
+        if -age_ns > self._largest_age_ns:
+            # What is in time behind it would be taken for old, and no tool height would fit it.
+            raise _Late(
+                f"its frames are stamped {-age_ns / NS_PER_S:.3g} s ahead of this machine's time, "
+                'more than largest_age: set the clocks of the machines by each other'
+            )
         last_ns = self._last_ns
         if last_ns is not None and stamp_ns <= last_ns:
             if last_ns - stamp_ns <= _CLOCK_JUMP_NS:
@@ -238,7 +245,7 @@ class _TopicSensor(ABC):
 
 
 class _Late(Exception):
-    """A frame that is too old to be used."""
+    """A frame that is of another time than it should be."""
 
 
 class CloudTopic(_TopicSensor):
@@ -264,7 +271,7 @@ class DepthTopics(_TopicSensor):
         self._rectified = parameters.flag('depth_is_rectified')
         self._info_topic = _topic(parameters, 'camera_info_topic')
         self._camera: Camera | None = None
-        self._deprojector: Deprojector | None = None
+        self._rays: tuple[Camera, Deprojector] | None = None
         self._infos = Intake(node, CameraInfo, self._info_topic, _SENSOR_DATA, raw=False)
         super().__init__(node, parameters, Image, _topic(parameters, 'depth_topic'))
 
@@ -274,8 +281,8 @@ class DepthTopics(_TopicSensor):
 
     def _points(self, message: Any) -> PointArray:
         for info, _, _ in self._infos.take():
-            self._use(camera_from_message(info, rectified=self._rectified))
-        if self._deprojector is None:
+            self._camera = camera_from_message(info, rectified=self._rectified)
+        if self._camera is None:
             raise InputError(f'There is no camera info on {self._info_topic}.')
         depth = depth_view(
             message.data,
@@ -285,13 +292,19 @@ class DepthTopics(_TopicSensor):
             step=int(message.step),
             is_bigendian=bool(message.is_bigendian),
         )
-        return self._deprojector.points(depth)
+        return self._deprojector_of(self._camera, depth.shape).points(depth)
 
-    def _use(self, camera: Camera) -> None:
-        """Make new rays only where the camera is another one."""
-        if camera != self._camera:
-            self._deprojector = Deprojector(camera, self._pose, *self._range)
-            self._camera = camera
+    def _deprojector_of(self, camera: Camera, shape: tuple[int, ...]) -> Deprojector:
+        """Return the rays of a camera, made anew only where it is another one."""
+        if shape != (camera.height, camera.width):
+            # Before any ray is made: of a garbled size there would be too many.
+            raise InputError(
+                f'A depth image has {shape[1]} x {shape[0]} pixels, its CameraInfo '
+                f'{camera.width} x {camera.height}: they belong to different streams.'
+            )
+        if self._rays is None or self._rays[0] != camera:
+            self._rays = camera, Deprojector(camera, self._pose, *self._range)
+        return self._rays[1]
 
 
 def camera_from_message(message: Any, *, rectified: bool) -> Camera:

@@ -116,6 +116,12 @@ def test_what_does_not_belong_together_is_told():
         Camera(64, 48, (0.0, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match='distortion model'):
         Camera(64, 48, (60.0, 60.0, 32.0, 24.0), 'equidistant', (0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match='has 3 coefficients'):
+        Camera(64, 48, (60.0, 60.0, 32.0, 24.0), 'plumb_bob', (0.1, 0.0, 0.0))
+    with pytest.raises(InputError, match='no number'):
+        Camera(64, 48, (60.0, 60.0, float('nan'), 24.0))
+    with pytest.raises(InputError, match='no number'):
+        Camera(64, 48, (60.0, 60.0, 32.0, 24.0), 'plumb_bob', (float('nan'),) * 5)
 
 
 def test_a_cloud_is_moved_and_what_is_no_return_becomes_nan():
