@@ -38,6 +38,7 @@ DIRECTIONS = {
     'create_publisher': 'publish',
     'create_subscription': 'subscribe',
     'of': 'subscribe',
+    'refuse_changes_while_pushing': 'subscribe',
     'create_service': 'reply',
     'create_client': 'request',
 }

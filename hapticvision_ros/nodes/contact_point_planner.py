@@ -33,6 +33,7 @@ from hapticvision_ros.bag.contract import (
     CONTACT_POINT,
     OBJECT,
     OBJECT_POSE,
+    PHASE,
     PLAN,
     POINTS,
     PUSH_DIRECTION,
@@ -64,7 +65,7 @@ from hapticvision_ros.nodes.conversions import (
 )
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Heard, Level, worst
 from hapticvision_ros.nodes.intake import Intake
-from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.parameters import ParameterSpec, refuse_changes_while_pushing
 from hapticvision_ros.nodes.qos import (
     create_publisher,
     create_service,
@@ -371,6 +372,7 @@ class ContactPointPlanner(CellNode):
         create_subscription(self, SENSOR_POSE, self._on_sensor_pose)
         self._listen_to_tf()
         self._listen_to_camera()
+        refuse_changes_while_pushing(self, PHASE)
         group = ReentrantCallbackGroup()
         create_service(self, PLAN, self._plan, callback_group=group)
         create_service(self, ADD_VIEW, self._add_view, callback_group=group)

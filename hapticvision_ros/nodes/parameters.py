@@ -24,7 +24,9 @@ import math
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from hapticvision_ros.bag.contract import Topic
 from hapticvision_ros.core.errors import InputError, UsageError
+from hapticvision_ros.nodes.qos import interface_class, relative_name, subscription_profile
 from hapticvision_ros.share import share_folder
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -32,6 +34,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.event_handler import SubscriptionEventCallbacks
 import yaml
 
 type Kind = Literal['bool', 'integer', 'double', 'string', 'double_array']
@@ -44,6 +47,8 @@ _EXAMPLES: Final = {
     'string': "'text'",
     'double_array': '[1.0, 2.0]',
 }
+_PUSHING: Final = ('approach', 'push', 'hold', 'release', 'recover')
+_AT_REST: Final = ('done', 'aborted')
 _FOREIGN_PREFIXES: Final = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
@@ -289,6 +294,70 @@ class Parameters:
             if refusal:
                 return SetParametersResult(successful=False, reason=refusal)
         return SetParametersResult(successful=True)
+
+
+class RunningPush:
+    """
+    Whether a push is running, as the arm push controller tells it.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who asks; its executor hears the phase.
+    topic : Topic
+        Where the phase is told, latched.
+
+    """
+
+    def __init__(self, node: Any, topic: Topic) -> None:
+        self._phase: str | None = None
+        node.create_subscription(
+            interface_class(topic.msgtype),
+            relative_name(topic.name),
+            self._on_phase,
+            subscription_profile(topic.qos),
+            event_callbacks=SubscriptionEventCallbacks(matched=self._on_matched),
+        )
+
+    @property
+    def phase(self) -> str | None:
+        """Return the phase of the running push, or None while there is none."""
+        return self._phase
+
+    def refusal(self, changes: Mapping[str, Any]) -> str | None:
+        """Return why parameters cannot be changed now, or None if they can."""
+        if self._phase is None:
+            return None
+        return (
+            f"A push is running (in the phase '{self._phase}'): stop it or wait for its end "
+            f'before changing {", ".join(sorted(changes))}.'
+        )
+
+    def _on_phase(self, message: Any) -> None:
+        if message.data in _PUSHING:
+            self._phase = message.data
+        elif message.data in _AT_REST:
+            self._phase = None
+
+    def _on_matched(self, status: Any) -> None:
+        # A controller that has died in a push would keep the parameters locked for ever.
+        if status.current_count_change < 0:
+            self._phase = None
+
+
+def refuse_changes_while_pushing(node: Any, topic: Topic) -> None:
+    """
+    Let a node refuse all changes of its parameters from the approach to the end of each push.
+
+    Parameters
+    ----------
+    node : CellNode
+        The node, whose ``parameters`` are declared.
+    topic : Topic
+        Where the phase of the push is told: ``PHASE`` of the contract.
+
+    """
+    node.parameters.add_check(RunningPush(node, topic).refusal)
 
 
 def _plain(value: Any) -> Any:

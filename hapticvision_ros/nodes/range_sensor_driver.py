@@ -43,7 +43,7 @@ from hapticvision_ros.nodes.conversions import (
 from hapticvision_ros.nodes.device_keeper import DeviceKeeper, REOPEN_PARAMETERS
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
 from hapticvision_ros.nodes.intake import Intake
-from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.parameters import ParameterSpec, refuse_changes_while_pushing
 from hapticvision_ros.nodes.qos import create_publisher, create_subscription
 from hapticvision_ros.nodes.range_backends import connect, RANGE_PARAMETERS
 from hapticvision_ros.nodes.runtime import CellNode, run
@@ -187,6 +187,7 @@ class RangeSensorDriver(CellNode):
         self._tool_heights_sent = Intake.of(self, TOOL_HEIGHT)
         create_subscription(self, CONTACT_POINT, self._on_contact_point)
         create_subscription(self, PHASE, self._on_phase)
+        refuse_changes_while_pushing(self, PHASE)
         diagnostics = self._diagnostics = Diagnostics(self, values.text('backend'))
         diagnostics.add('device', self._keeper.finding)
         diagnostics.add('frames', self._find_frames)

@@ -15,11 +15,21 @@
 """The nodes' parameter tables and their files agree."""
 
 from importlib import import_module
+from types import SimpleNamespace
 
+from hapticvision_ros.bag.contract import PHASE
 from hapticvision_ros.core.errors import HapticVisionError
-from hapticvision_ros.nodes import parameters
-from hapticvision_ros.nodes.parameters import config_file, default_values, ParameterSpec
+from hapticvision_ros.nodes import parameters, qos
+from hapticvision_ros.nodes.conversions import text_to_message
+from hapticvision_ros.nodes.parameters import (
+    config_file,
+    default_values,
+    ParameterSpec,
+    RunningPush,
+)
 import pytest
+import rclpy
+from rclpy.context import Context
 import yaml
 
 NODES = (
@@ -116,3 +126,94 @@ def test_a_bad_file_is_told_in_one_sentence(write, content, sentence):
 def test_a_missing_file_is_told_in_one_sentence(write):
     with pytest.raises(HapticVisionError, match='Cannot read the parameters of node'):
         default_values('node', TABLE)
+
+
+@pytest.fixture
+def push(ros):
+    """Return what a node that is not spun has heard of a push."""
+    node = rclpy.create_node('listener')
+    yield RunningPush(node, PHASE)
+    node.destroy_node()
+
+
+def test_changes_are_refused_from_the_approach_to_the_end_of_the_push(push):
+    changes = {'seed': 3, 'clouds': 2}
+    told = []
+    for phase in (
+        '',
+        'done',
+        'approach',
+        'push',
+        'hold',
+        'release',
+        'recover',
+        'nonsense',
+        'done',
+    ):
+        push._on_phase(text_to_message(phase))
+        told.append(push.refusal(changes))
+    assert [sentence is None for sentence in told] == [True, True, *[False] * 6, True]
+    assert told[2] == (
+        "A push is running (in the phase 'approach'): stop it or wait for its end before changing "
+        'clouds, seed.'
+    )
+    # A node that starts in the middle hears the latched phase only; an abort ends a push as well.
+    push._on_phase(text_to_message('hold'))
+    assert push.refusal(changes) is not None
+    push._on_phase(text_to_message('aborted'))
+    assert push.refusal(changes) is None
+
+
+def test_a_controller_that_died_in_a_push_locks_nothing(push):
+    push._on_phase(text_to_message('hold'))
+    push._on_matched(SimpleNamespace(current_count_change=1))
+    assert push.phase == 'hold'
+    push._on_matched(SimpleNamespace(current_count_change=-1))
+    assert push.phase is None
+
+
+@pytest.fixture
+def controller(ros):
+    """Return a publisher of the phase in a participant of its own, and what lets it go."""
+    context = Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node('controller', context=context)
+
+    def go():
+        if context.ok():
+            node.destroy_node()
+            context.shutdown()
+
+    yield qos.create_publisher(node, PHASE), go
+    go()
+
+
+@pytest.mark.parametrize(
+    ('name', 'change'),
+    [
+        ('contact_point_planner', {'cloud_timeout': 2.0}),
+        ('range_sensor_driver', {'frame_timeout': 2.0}),
+    ],
+)
+def test_a_node_refuses_changes_while_pushing(
+    name, change, start_world, start_node, probe, controller, until
+):
+    port = {'simulated_world_port': start_world('--object', 'spring1').port}
+    start_node(name, port if name == 'range_sensor_driver' else {})
+    publisher, go = controller
+    # Latched before the node is there, or not: both are heard.
+    publisher.publish(text_to_message('push'))
+
+    def answer():
+        (result,) = probe.set_parameters(name, change)
+        return result
+
+    until(lambda: not answer().successful, 'a refusal')
+    assert "in the phase 'push'" in answer().reason
+    publisher.publish(text_to_message('done'))
+    until(lambda: answer().successful, 'a change after the push')
+    publisher.publish(text_to_message('approach'))
+    until(lambda: not answer().successful, 'a refusal in the next push')
+    # The controller goes without another word.
+    go()
+    until(lambda: answer().successful, 'a change after the controller has gone')
