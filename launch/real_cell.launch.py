@@ -26,8 +26,12 @@ from launch.actions import (
     OpaqueFunction,
     SetEnvironmentVariable,
 )
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
@@ -116,6 +120,12 @@ def generate_launch_description():
         condition=IfCondition(LaunchConfiguration('local')),
         scoped=False,
     )
+    # A node that finds nothing said of it discovers on this machine only.
+    subnet = SetEnvironmentVariable(
+        'ROS_AUTOMATIC_DISCOVERY_RANGE',
+        EnvironmentVariable('ROS_AUTOMATIC_DISCOVERY_RANGE', default_value='SUBNET'),
+        condition=UnlessCondition(LaunchConfiguration('local')),
+    )
     return LaunchDescription(
         [
             # Without defaults: which devices there are is for a person to say.
@@ -130,6 +140,7 @@ def generate_launch_description():
                 for name, default, description in ARGUMENTS
             ),
             local,
+            subnet,
             OpaqueFunction(function=nodes),
         ]
     )

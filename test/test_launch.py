@@ -131,6 +131,27 @@ def test_each_executable_is_installed(path: Path, load) -> None:
     assert names and names <= texts
 
 
+@pytest.mark.parametrize('name', ['cell', 'real_cell'])
+def test_discovery_reaches_other_machines_only_where_it_is_asked_to(name: str, load) -> None:
+    description = load(name).generate_launch_description()
+    (local,) = _calls(description, 'GroupAction')
+    assert local.options['condition'].kind == 'IfCondition'
+    assert _set(local)['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+    (beyond,) = (
+        call
+        for call in _calls(description, 'SetEnvironmentVariable')
+        if getattr(call.options.get('condition'), 'kind', '') == 'UnlessCondition'
+    )
+    # What the user has set stands; without a word the nodes would stay on this machine.
+    chosen = _set(beyond)['ROS_AUTOMATIC_DISCOVERY_RANGE']
+    assert chosen.kind == 'EnvironmentVariable'
+    assert chosen.options['default_value'] == 'SUBNET'
+
+
+def _set(item: Call) -> dict[str, object]:
+    return dict(call.values[:2] for call in _calls(item, 'SetEnvironmentVariable'))
+
+
 def test_the_cells_are_made_of_the_seven_nodes(load) -> None:
     simulated, real = load('cell'), load('real_cell')
     assert simulated.NODES == real.NODES == NODES

@@ -53,7 +53,7 @@ from hapticvision_ros.nodes.qos import (
     relative_name,
 )
 from hapticvision_ros.nodes.rheology_fitter import SYMBOLS, TRIAL
-from hapticvision_ros.nodes.runtime import deliver
+from hapticvision_ros.nodes.runtime import deliver, stay_on_this_machine
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
@@ -305,6 +305,7 @@ def _run(arguments: argparse.Namespace) -> int:
     playback = Playback(arguments.bag)
     for warning in playback.warnings:
         print(f'warning: {warning}', flush=True)
+    stay_on_this_machine()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     player = BagPlayer(playback, arguments.rate)
     try:

@@ -19,8 +19,9 @@ One thread runs the callbacks (a multi-threaded executor loses almost all sample
 node's own threads serve its device, and whatever ends the process lets go of the device first.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 import inspect
+import os
 import signal
 import sys
 import threading
@@ -45,6 +46,14 @@ THREAD_JOIN_TIMEOUT: Final = 5.0
 
 LAST_WORDS: Final = 3.0
 """Longest time that a node that stops waits for those who listen to it [s]."""
+
+
+_DISCOVERY: Final = (
+    'ROS_AUTOMATIC_DISCOVERY_RANGE',
+    'ROS_STATIC_PEERS',
+    # Of older distributions; where it is set it goes before the first.
+    'ROS_LOCALHOST_ONLY',
+)
 
 
 class CellNode(Node):  # type: ignore[misc]
@@ -181,9 +190,27 @@ def run(factory: Callable[[], CellNode], args: Sequence[str] | None = None) -> i
     return 0
 
 
+def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
+    """
+    Let ROS discover on this machine only, unless the user has said how it discovers.
+
+    ROS by itself discovers the whole subnet, where anyone could then talk to the arm.
+
+    Parameters
+    ----------
+    environment : mutable mapping of str to str, optional
+        That of the process if not given. It is read when ROS starts.
+
+    """
+    if not any(environment.get(name) for name in _DISCOVERY):
+        environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
 def initialise(args: Sequence[str] | None = None) -> None:
     """
     Start ROS in the process, which keeps its own signal handlers.
+
+    Without a word of the user's it discovers on this machine only.
 
     Parameters
     ----------
@@ -196,6 +223,7 @@ def initialise(args: Sequence[str] | None = None) -> None:
         If ROS does not accept them.
 
     """
+    stay_on_this_machine()
     # The exceptions of the binding have no public name; all of them are RuntimeErrors.
     try:
         rclpy.init(

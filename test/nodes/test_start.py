@@ -14,11 +14,13 @@
 
 """The process of a node before the node has handlers of its own, and its first words."""
 
+import os
 import signal
 import subprocess
 import sys
 
 from hapticvision_ros.cli.processes import program
+from hapticvision_ros.nodes.runtime import stay_on_this_machine
 import pytest
 
 INTERRUPT = """
@@ -75,3 +77,45 @@ def test_the_first_warning_of_a_node_does_not_keep_its_thread_from_a_sensor() ->
     )
     first, second = map(float, done.stdout.split())
     assert first < 10.0 * second
+
+
+DISCOVERY = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS', 'ROS_LOCALHOST_ONLY')
+RANGE = """
+import os
+from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.nodes.runtime import run
+def tell():
+    print(os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE'))
+    raise UsageError('that is all.')
+run(tell, [])
+"""
+
+
+@pytest.mark.parametrize(
+    ('said', 'expected'),
+    [
+        ({}, 'LOCALHOST'),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': ''}, 'LOCALHOST'),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}, 'OFF'),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, 'SUBNET'),
+        ({'ROS_STATIC_PEERS': '192.168.1.2'}, None),
+        ({'ROS_LOCALHOST_ONLY': '0'}, None),
+    ],
+)
+def test_discovery_stays_on_this_machine_unless_the_user_says_otherwise(said, expected) -> None:
+    environment = dict(said)
+    stay_on_this_machine(environment)
+    assert environment == said | ({} if expected is None else {DISCOVERY[0]: expected})
+
+
+def test_a_node_has_chosen_its_discovery_before_ros_starts() -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
+    done = subprocess.run(
+        [sys.executable, '-c', RANGE],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ('LOCALHOST\n', 'error: that is all.\n')
