@@ -327,6 +327,46 @@ def test_a_reading_with_a_stamp_far_from_now_is_left_out_and_counted(
     assert all(abs(ns_from_stamp(m.header.stamp) - now_ns) < 120e9 for m in heard)
 
 
+def test_a_rate_that_is_not_the_expected_one_is_told(start_world, start_node, status):
+    world = start_world('--object', 'spring1', '--force-rate', '250')
+    # Four times as many as come, so that only a machine that is held up for long could hide it;
+    # and gaps are allowed, which are told as well.
+    start_node(
+        'load_cell_driver',
+        {'simulated_world_port': world.port, 'rate': 1000.0, 'largest_gap': 1.0},
+    )
+    told = status.wait('readings', lambda s: 'The rate is' in s.message, 'the rate told')
+    assert told.level == DiagnosticStatus.WARN
+    assert 'Hz, where 1000 Hz are expected' in told.message
+    values = values_from_status(told)
+    # The first second is also that in which the stream begins.
+    assert 0.0 < float(values['rate_hz']) < 400.0
+    assert values['expected_rate_hz'] == '1000'
+
+
+def test_a_rate_within_its_tolerance_is_no_warning(start_world, start_node, probe, status):
+    world = start_world('--object', 'spring1', '--force-rate', '250')
+    # Three eighths less than expected.
+    start_node(
+        'load_cell_driver',
+        {
+            'simulated_world_port': world.port,
+            'rate': 400.0,
+            'rate_tolerance': 0.9,
+            'largest_gap': 1.0,
+        },
+    )
+    good = status.wait(
+        'readings',
+        lambda s: s.level == DiagnosticStatus.OK and values_from_status(s)['rate_hz'] != '-',
+        'a good state with a rate',
+    )
+    assert good.message == 'Readings come as expected.'
+    # The tolerance may be changed while the driver runs.
+    probe.set_parameters('load_cell_driver', {'rate_tolerance': 0.1})
+    status.wait('readings', lambda s: 'where 400 Hz are expected' in s.message, 'the warning')
+
+
 def test_a_tare_after_the_clock_was_set_back_averages_nothing_from_before(
     faulty_world, start_node, probe, until
 ):
