@@ -300,3 +300,135 @@ def test_a_picture_that_cannot_be_used_is_refused(change, info, sentence):
     fields = {'height': 3, 'width': 5, 'step': 5, 'encoding': 'mono8', 'data': bytes(15)} | change
     with pytest.raises(InputError, match=sentence):
         picture_from_messages(Image(**fields), info, Pose.identity())
+
+
+SOLID = block(0.09, 0.06, 0.045).at(0.01, -0.005, 0.4)
+EYE = Camera(0.3, np.deg2rad(88.0), width=240, height=180)
+IMAGE, INFO = '/camera/image_rect', '/camera/camera_info'
+
+
+def with_a_dark_edge():
+    """Return a cloud of a block in which a strip of 5 mm along one edge gave no return."""
+    shot = take(EYE, [SOLID], seed=0)
+    world = shot.xyz.reshape(-1, 3).astype(float) @ EYE.rotation.T + EYE.translation
+    x, y, z = np.moveaxis(world.reshape(shot.xyz.shape), -1, 0)
+    along = (x - 0.01) * np.cos(0.4) + (y + 0.005) * np.sin(0.4)
+    cloud = shot.xyz.copy()
+    cloud[(along > 0.045 - 0.005) & (z > 0.004)] = np.nan
+    return cloud
+
+
+def picture_of(shot, frame='eye', **changes):
+    """Return Image and CameraInfo of what the camera sees, as its driver sends them."""
+    image = Image(height=EYE.height, width=EYE.width, step=3 * EYE.width, encoding='rgb8')
+    image.data = shot.image.tobytes()
+    image.header.frame_id = frame
+    for name, value in changes.items():
+        setattr(image, name, value)
+    matrix = EYE.matrix
+    projection = [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0]
+    info = CameraInfo(height=EYE.height, width=EYE.width, p=[float(p) for p in projection])
+    return image, info
+
+
+@pytest.fixture
+def see(start_node, probe):
+    """Run a planner with a camera; send a cloud, the tool's height and pictures to it."""
+    pose = numbers_of(EYE)
+    start_node(
+        'contact_point_planner',
+        {
+            'cloud_timeout': 20.0,
+            'clouds': 1,
+            'axis_tolerance': 0.05,
+            'sensor_frames': 'scanner eye',
+            'sensor_poses': [*pose, *pose],
+            'image_topic': IMAGE,
+            'camera_info_topic': INFO,
+        },
+    )
+    points, arm = probe.publisher(POINTS), probe.publisher(TOOL_HEIGHT)
+    images = probe.node.create_publisher(Image, IMAGE, 5)
+    infos = probe.node.create_publisher(CameraInfo, INFO, 5)
+    shown = {}
+
+    def send():
+        stamp = probe.node.get_clock().now()
+        arm.publish(scalar_to_message(0.12))
+        for publisher, message in zip((images, infos), shown.get('picture', ()), strict=False):
+            message.header.stamp = stamp.to_msg()
+            publisher.publish(message)
+        if 'cloud' in shown:
+            cloud = RangeFrame(stamp.nanoseconds, shown['cloud'])
+            points.publish(cloud_to_message(cloud, 'scanner'))
+
+    timer = probe.node.create_timer(0.05, send)
+    yield shown
+    probe.node.destroy_timer(timer)
+
+
+def test_a_picture_gives_back_an_edge_that_the_cloud_lost(see, probe, until, diagnosis):
+    planner = diagnosis('contact_point_planner')
+    see['cloud'] = with_a_dark_edge()
+    # A camera that was asked for and is silent is not passed over.
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert not answer.success
+    assert f"No picture came on '{IMAGE}' and '{INFO}'" in answer.message
+    lacking = planner.wait('clouds', lambda s, v: s.level == s.WARN, 'the missing picture told')
+    assert f'A picture on {IMAGE} has not come yet.' in lacking.message
+    assert f'No CameraInfo has come on {INFO} yet.' in lacking.message
+
+    contacts = probe.listen(CONTACT_POINT)
+    see['picture'] = picture_of(take(EYE, [SOLID], seed=5))
+    planner.wait(
+        'clouds', lambda s, v: s.level == s.OK and v['picture_age_s'] != '-', 'the picture told'
+    )
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert answer.success, answer.message
+    until(lambda: contacts, 'the contact point')
+    x, y, _ = point_from_message(contacts[-1])
+    # Without the picture it is off by half of the strip of 5 mm.
+    assert np.hypot(x - 0.01, y + 0.005) < 1e-3
+
+
+def test_a_picture_of_something_else_is_told_and_not_used(see, probe, until):
+    see['cloud'] = with_a_dark_edge()
+    other = block(0.02, 0.02, 0.045).at(-0.06, 0.05, 0.0)
+    see['picture'] = picture_of(take(EYE, [other], seed=5))
+    contacts, found = probe.listen(CONTACT_POINT), probe.listen(OBJECT)
+
+    def planned():
+        answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+        # Cloud and picture are on their way, each by itself.
+        assert answer.success or 'No picture came' in answer.message, answer.message
+        return answer.success and answer
+
+    answer = until(planned, 'a plan')
+    assert 'Picture 1 was not used' in answer.message
+    until(lambda: contacts and found, 'the plan')
+    x, y, _ = point_from_message(contacts[-1])
+    assert np.hypot(x - 0.01, y + 0.005) == pytest.approx(0.0025, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'sentence'),
+    [
+        ({'encoding': 'bayer_rggb8'}, "encoded as 'bayer_rggb8'"),
+        ({'data': bytes(100)}, 'holds fewer bytes'),
+        ({'height': 90}, 'does not fit its image'),
+        ({'frame': 'nowhere'}, "frame 'nowhere', whose pose"),
+    ],
+    ids=['bayer', 'cut off', 'another size', 'no pose'],
+)
+def test_a_picture_that_cannot_be_used_is_told_by_the_service(
+    see, probe, until, changes, sentence
+):
+    see['cloud'] = with_a_dark_edge()
+    see['picture'] = picture_of(take(EYE, [SOLID], seed=5), **changes)
+
+    def refused():
+        answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+        assert not answer.success
+        return 'No picture came' not in answer.message and answer
+
+    assert sentence in until(refused, 'a refusal').message
