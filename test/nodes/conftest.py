@@ -244,7 +244,7 @@ class Diagnosis:
 
 @pytest.fixture
 def diagnosis(probe: Probe) -> Callable[[str], Diagnosis]:
-    """Listen to what a node says of itself: ``diagnosis('load_cell_driver').wait(...)``."""
+    """Return what listens to a node's diagnostics, given the name of the node."""
     return lambda node_name: Diagnosis(probe, node_name)
 
 

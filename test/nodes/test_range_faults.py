@@ -238,7 +238,6 @@ def cloud(stamp_ns=None):
 
 def changed(**fields):
     """Return a maker of clouds in which some fields are others."""
-
     return lambda: (with_fields(cloud(), fields),)
 
 
