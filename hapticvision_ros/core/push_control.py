@@ -31,8 +31,6 @@ type PushPhase = Literal['approach', 'push', 'hold', 'release', 'recover', 'done
 
 NO_PUSH: Final = 'No push is running.'
 """What is answered to a stop when there is nothing to stop."""
-UNDER_WAY: Final[frozenset[str]] = frozenset(('approach', 'push', 'hold', 'release', 'recover'))
-"""Phases in which the arm's controller relies on the load cell's zero."""
 NOT_ALLOWED: Final = 'Motion is forbidden: call the enable service first.'
 """What is answered where nobody has allowed motion since the controller was started."""
 EMERGENCY: Final = 'The emergency stop is pressed: release it first.'

@@ -93,7 +93,7 @@ from hapticvision_ros.nodes.conversions import (
 )
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
 from hapticvision_ros.nodes.intake import Intake
-from hapticvision_ros.nodes.parameters import ParameterSpec
+from hapticvision_ros.nodes.parameters import ParameterSpec, refuse_changes_while_pushing
 from hapticvision_ros.nodes.qos import (
     create_client,
     create_publisher,
@@ -443,6 +443,7 @@ class ExperimentOrchestrator(CellNode):
         self._status_publisher = create_publisher(self, EXPERIMENT_STATUS)
         self._feedback_publisher = create_publisher(self, EXPERIMENT_FEEDBACK)
         self._result_publisher = create_publisher(self, EXPERIMENT_RESULT)
+        refuse_changes_while_pushing(self, PHASE)
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
         diagnostics = Diagnostics(self)

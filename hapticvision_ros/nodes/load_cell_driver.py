@@ -27,7 +27,6 @@ from typing import Any, Final
 from hapticvision_ros.bag.contract import PHASE, TARE, WRENCH
 from hapticvision_ros.core.devices import LoadCell, WrenchSample
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.push_control import UNDER_WAY
 from hapticvision_ros.devices.low_pass import LowPass
 from hapticvision_ros.devices.monitor import StreamMonitor
 from hapticvision_ros.devices.mounting import rotation_from_rpy
@@ -36,8 +35,8 @@ from hapticvision_ros.devices.serial_cell import connect_serial_cell, LineFormat
 from hapticvision_ros.nodes.conversions import NS_PER_S, wrench_to_message
 from hapticvision_ros.nodes.device_keeper import DeviceKeeper, REOPEN_PARAMETERS
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level, worst
-from hapticvision_ros.nodes.parameters import ParameterSpec
-from hapticvision_ros.nodes.qos import create_publisher, create_service, create_subscription
+from hapticvision_ros.nodes.parameters import ParameterSpec, RunningPush
+from hapticvision_ros.nodes.qos import create_publisher, create_service
 from hapticvision_ros.nodes.runtime import CellNode, run
 from hapticvision_ros.sim.devices import connect_load_cell
 import numpy as np
@@ -303,7 +302,8 @@ class LoadCellDriver(CellNode):
         self._monitor = StreamMonitor(values.real('read_timeout'))
         self._recent: deque[WrenchSample] = deque()
         self._heard = 0.0
-        self._phase = ''
+        self._push = RunningPush(self, PHASE)
+        values.add_check(self._push.refusal)
         self._zero: tuple[Vector, Vector] = (_NOTHING, _NOTHING)
         self._tared: float | None = None
         self._saturated = self._faulty = 0
@@ -318,7 +318,6 @@ class LoadCellDriver(CellNode):
             patience=values.real('reopen_time'),
         )
         create_service(self, TARE, self._tare)
-        create_subscription(self, PHASE, self._on_phase)
         diagnostics = self._diagnostics = Diagnostics(self, values.text('backend'))
         diagnostics.add('device', self._keeper.finding)
         diagnostics.add('readings', self._find_readings)
@@ -473,18 +472,15 @@ class LoadCellDriver(CellNode):
         before, self._told[name] = self._told.get(name, 0), total
         return total - before
 
-    def _on_phase(self, message: Any) -> None:
-        self._phase = message.data
-
     def _tare(self, request: Any, response: Any) -> Any:
         # The reader thread goes on appending, so that only a snapshot can be averaged.
         recent = self._recent.copy()
         response.success = False
-        if self._phase in UNDER_WAY:
+        if self._push.phase is not None:
             # What the arm's controller compares with its limit would lack the force of the push.
             response.message = (
-                f'A push is under way ({self._phase}), and its force limit counts from the zero: '
-                'tare when it is over.'
+                f'A push is under way ({self._push.phase}), and its force limit counts from the '
+                'zero: tare when it is over.'
             )
             return response
         if not recent:

@@ -369,7 +369,12 @@ class Cell:
             topic = '/robot/joints'
             self.watchdog = start_node(
                 'velocity_watchdog',
-                {'input_topic': '/robot/command', 'output_topic': topic, 'timeout': 0.2},
+                {
+                    'input_topic': '/robot/command',
+                    'output_topic': topic,
+                    'timeout': 0.2,
+                    'joints': 2,
+                },
             )
         self.robot = robot_of(kind, connect_arm(world.port), topic)
         start_node('load_cell_driver', {'simulated_world_port': world.port, 'rate': 200.0})
