@@ -410,7 +410,8 @@ class Experiment:
         """Start to execute the accepted goal."""
         if self.status is GoalStatus.ACCEPTED:
             self.status = GoalStatus.EXECUTING
-            self._enter(Step.BRING_UP, now)
+            if not self._forbidden:
+                self._enter(Step.BRING_UP, now)
 
     def time_left(self, now: float) -> float:
         """
@@ -491,7 +492,8 @@ class Experiment:
             return
         self._forbidden = True
         self.reason = self.reason or reason
-        if self._step is not Step.DISABLE:
+        # A trial that is being stopped or closed is brought to its end first.
+        if self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
             self.failed(reason, now)
 
     def lost(self, reason: str, now: float) -> None:

@@ -414,7 +414,8 @@ class ArmPushController(ManagedCellNode):
         if self.failure is None and not taking_over:
             self._record.remove()
         if control is not None:
-            control.abort('The controller ends.', time.monotonic())
+            control.abort(self._stop_reason or 'The controller ends.', time.monotonic())
+            self._tell(control.report())
             self._publish(Command(0.0, control.phase), ended=True)
         self._disconnect()
 
@@ -501,7 +502,7 @@ class ArmPushController(ManagedCellNode):
     def _begin_takeover(self) -> None:
         """See whether a controller of this arm has just died in a push."""
         limit, age = self.parameters.real('takeover_time'), self._record.age()
-        if age is None or not limit:
+        if age is None:
             return
         if age > limit:
             self.get_logger().warning(
@@ -524,6 +525,8 @@ class ArmPushController(ManagedCellNode):
         now, tool = time.monotonic(), self._tool
         if self._control is not None or self._emergency or now > self._takeover_end:
             # Somebody else sees to the tool, or has to.
+            if self._control is None:
+                self._end_left_push()
             self._end_takeover()
         elif tool is not None and now - tool.t <= self._limits.stale_time:
             if not self._begin_retraction(now, tool, _TAKEN_OVER):
@@ -737,9 +740,10 @@ class ArmPushController(ManagedCellNode):
         try:
             self._control_arm(control, arm)
         finally:
-            # However the loop was left: the arm would go on with what it was told last.
-            with suppress(DeviceError, OSError):
-                arm.command(0.0)
+            # The arm would go on with what it was told last.
+            if not control.finished:
+                with suppress(DeviceError, OSError):
+                    arm.command(0.0)
         if control.reason is not None:
             self.get_logger().warning(f'The push was aborted: {control.reason}')
 

@@ -73,6 +73,7 @@ from hapticvision_ros.core.experiment import (
 )
 from hapticvision_ros.core.push_control import (
     check_goal,
+    DEACTIVATED,
     EMERGENCY,
     FORBIDDEN,
     hold_mode,
@@ -430,7 +431,7 @@ class ExperimentOrchestrator(CellNode):
                 (ChangeState, 'change_state'),
             )
         )
-        self._changing = False
+        self._changing = self._brought_up = False
         self._room_seen = 0.0
         self._push_report: Any = None
         create_subscription(self, PUSH_REPORT, self._on_push_report)
@@ -467,6 +468,8 @@ class ExperimentOrchestrator(CellNode):
             while not experiment.status.terminal and time.monotonic() < end:
                 self.executor.spin_once(timeout_sec=0.1)
             self._give_up(experiment)
+            if experiment.status is not self._status:
+                self._report(experiment, time.monotonic())
         self._drop_analysis()
         super().close()
 
@@ -589,7 +592,10 @@ class ExperimentOrchestrator(CellNode):
             self._heartbeat.publish(scalar_to_message(now - self._began))
         self._take(now)
         experiment = self._experiment
-        if experiment is None or experiment.step is Step.END:
+        if experiment is None:
+            return
+        if experiment.step is Step.END and experiment.status is self._status:
+            # Told as well; it may have come to its end outside of a tick.
             return
         experiment.begin(now)
         # One tick may go through several steps: none of them waits.
@@ -622,6 +628,7 @@ class ExperimentOrchestrator(CellNode):
         trial, goal = experiment.trial, experiment.goal
         match experiment.step:
             case Step.BRING_UP:
+                self._brought_up = False
                 self._look_at_arm(experiment)
             case Step.CHECK:
                 if not experiment.outcomes or trial.reason:
@@ -771,7 +778,15 @@ class ExperimentOrchestrator(CellNode):
             self._look_at_arm(experiment)
         elif answer.current_state.id == ACTIVE:
             experiment.done(now)
+        elif (
+            answer.current_state.id == State.PRIMARY_STATE_INACTIVE
+            and experiment.outcomes
+            and not self._brought_up
+        ):
+            # It was active, and one that was started anew begins with being configured.
+            experiment.forbidden(f'{FORBIDDEN}{DEACTIVATED}', now)
         elif answer.current_state.id in _BRING_UP:
+            self._brought_up = True
             request = ChangeState.Request()
             request.transition.id = _BRING_UP[answer.current_state.id]
             experiment.waiting_for = f'{ARM_NODE} to become active: see its messages'

@@ -341,7 +341,7 @@ class RunningPush:
 
     def _on_matched(self, status: Any) -> None:
         # A controller that has died in a push would keep the parameters locked for ever.
-        if status.current_count_change < 0:
+        if not status.current_count:
             self._phase = None
 
 

@@ -561,6 +561,29 @@ def test_nothing_moves_any_more_once_somebody_has_forbidden_it(step):
     assert ('left low' in experiment.reason) == (step in (Step.PUSH, Step.STOP))
 
 
+def test_a_stop_while_a_bag_is_being_closed_keeps_the_trial():
+    experiment = begun()
+    advance(experiment, Step.PUSH)
+    experiment.phase('aborted', 1.0)
+    experiment.forbidden('The controller was disabled.', 1.1)
+    assert experiment.step is Step.FINISH
+    experiment.recorded('/bags/a', (), 1.2)
+    assert [item.outcome for item in experiment.outcomes] == [Outcome.ABORTED]
+    assert experiment.step is Step.DISABLE
+    experiment.done(1.3)
+    assert experiment.status is GoalStatus.ABORTED
+    assert experiment.reason.startswith('The controller was disabled')
+
+
+def test_a_stop_before_the_first_step_is_not_forgotten():
+    experiment = Experiment(goal(), DEADLINES, max_failures=2, now=0.0)
+    experiment.forbidden('The emergency stop was pressed.', 0.0)
+    experiment.begin(0.1)
+    assert experiment.step is Step.DISABLE
+    experiment.done(0.2)
+    assert experiment.status is GoalStatus.ABORTED
+
+
 def test_a_stop_after_a_failed_trial_leaves_the_tool_where_it_is():
     experiment = begun()
     push(experiment, 'aborted')

@@ -27,7 +27,7 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from action_msgs.msg import GoalStatus
+from action_msgs import msg as action
 from action_msgs.srv import CancelGoal
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
@@ -51,8 +51,10 @@ from hapticvision_ros.core.experiment import (
     Deadlines,
     Experiment,
     ExperimentGoal,
+    GoalStatus,
     Outcome,
     Step,
+    TrialOutcome,
 )
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.nodes.conversions import values_from_status
@@ -61,6 +63,7 @@ from hapticvision_ros.nodes.experiment_orchestrator import (
     ExperimentOrchestrator,
     PATIENCE,
 )
+from lifecycle_msgs.msg import State
 import numpy as np
 import pytest
 from std_msgs.msg import Bool
@@ -164,9 +167,9 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
     bag = Path(values['bag 2'])
     assert bag.name == 'trial_002_10.0mm_s_5mm_r2'
     assert states(told, answer.message) == [
-        GoalStatus.STATUS_ACCEPTED,
-        GoalStatus.STATUS_EXECUTING,
-        GoalStatus.STATUS_SUCCEEDED,
+        action.GoalStatus.STATUS_ACCEPTED,
+        action.GoalStatus.STATUS_EXECUTING,
+        action.GoalStatus.STATUS_SUCCEEDED,
     ]
     seen = {values_from_status(message)['phase'] for message in feedback}
     assert {'hold', 'recover'} <= seen
@@ -450,6 +453,46 @@ def test_a_push_in_which_the_range_sensor_fell_silent_is_incomplete(node, monkey
     assert outcome.outcome is Outcome.INCOMPLETE
     assert 'nothing was received on /range_sensor/points' in outcome.reason
     assert 's of the push' in outcome.reason
+
+
+def test_an_end_that_came_outside_of_a_tick_is_told(node, monkeypatch):
+    experiment = came_to(Step.BRING_UP)
+    experiment.forbidden('The emergency stop was pressed.', 0.0)
+    experiment.done(0.0)
+    assert experiment.status is GoalStatus.ABORTED
+    told = []
+
+    def report(each, now):
+        told.append(each.status)
+        monkeypatch.setattr(node, '_status', each.status)
+
+    monkeypatch.setattr(node, '_experiment', experiment)
+    monkeypatch.setattr(node, '_status', GoalStatus.EXECUTING)
+    monkeypatch.setattr(node, '_report', report)
+    node._on_tick()
+    node._on_tick()
+    assert told == [GoalStatus.ABORTED]
+
+
+@pytest.mark.parametrize('begun', [True, False])
+def test_a_controller_that_was_deactivated_between_two_pushes_stays_so(node, monkeypatch, begun):
+    inactive = SimpleNamespace(current_state=SimpleNamespace(id=State.PRIMARY_STATE_INACTIVE))
+    asked = []
+    call = SimpleNamespace(answer=lambda: inactive, drop=lambda: None)
+    monkeypatch.setattr(node, '_change_arm', asked)
+    monkeypatch.setattr(
+        'hapticvision_ros.nodes.experiment_orchestrator._Call',
+        lambda server, request: asked.append(server) or call,
+    )
+    experiment = came_to(Step.BRING_UP)
+    if begun:
+        bag = TrialOutcome(experiment.trial, Outcome.COMPLETE, 'a')
+        experiment.outcomes.append(bag)
+    node._enter(experiment, 0.0)
+    node._bring_up(experiment, 0.0)
+    assert (experiment.step is Step.DISABLE) == begun
+    assert (asked[-1] is asked) != begun, 'whether its state was changed'
+    monkeypatch.setattr(node, '_call', None)
 
 
 def test_an_arm_whose_services_are_not_found_any_more_is_asked_by_new_clients(node, monkeypatch):
