@@ -185,6 +185,12 @@ class Probe:
         self.node.destroy_node()
 
 
+@pytest.fixture(autouse=True)
+def own_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what a controller that is killed leaves for its successor to the test at hand."""
+    monkeypatch.setenv('TMPDIR', str(tmp_path))
+
+
 @pytest.fixture
 def until() -> Callable[..., Any]:
     """Return ``wait_until``, which test modules cannot import from here."""

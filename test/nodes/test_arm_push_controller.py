@@ -379,8 +379,7 @@ def test_a_push_goes_on_only_while_someone_watches(start_node, world, load_cell,
 
 
 @pytest.fixture
-def notes(tmp_path, monkeypatch):
-    monkeypatch.setenv('TMPDIR', str(tmp_path))
+def notes(tmp_path):
     return tmp_path / f'hapticvision_ros_{os.getuid()}'
 
 
