@@ -120,7 +120,8 @@ def _distortions() -> Iterable[Fault]:
     """Yield what the devices may do wrong: name, and whether the push has to stop for it."""
     sensors = {
         # What a load cell says counts for the touch and for the limit. A single wrong reading may
-        # stop the push or be overtaken by the next one.
+        # stop the push or be overtaken by the next one. Stamps that jump back and stay there are
+        # taken for a clock that was set: the readings are as fresh as before.
         'force': {
             'silent': True,
             'late': True,
@@ -130,14 +131,13 @@ def _distortions() -> Iterable[Fault]:
             'saturated': True,
             'frozen': True,
             'an hour ahead': False,
-            'an hour back': True,
+            'an hour back': False,
             'lossy': False,
             'twice': False,
             'swapped': False,
             'spike': False,
             'garbage': False,
         },
-        # Stamps of the arm that jump back are taken for a clock that was set.
         'arm': {
             'silent': True,
             'late': True,

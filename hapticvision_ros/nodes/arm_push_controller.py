@@ -25,7 +25,7 @@ at its own fixed rate. A back end's `read` and `command` are therefore called fr
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
-from math import isfinite
+from math import isfinite, nan
 import threading
 import time
 from typing import Any, Final
@@ -329,6 +329,8 @@ _LIMIT_PARAMETERS: Final = (
     'touch_margin',
     'stop_lead',
 )
+_FARTHEST: Final = 3.0
+"""No arm tells a height of more: the limits of the workspace are within 2 m [m]."""
 _IDLE_WAIT: Final = 0.1
 _NEAR: Final = 0.002
 """A tool that is so close to the retract height is up [m]."""
@@ -717,7 +719,9 @@ class ArmPushController(ManagedCellNode):
             measured = self._tool_time.of(state.stamp_ns / NS_PER_S, now)
             if self._tool is not None and measured < self._tool.t:
                 continue
-            self._tool = Reading(measured, state.tool_height)
+            # Garbage that is taken for a height would end a retraction as if the tool were up.
+            height = state.tool_height if abs(state.tool_height) <= _FARTHEST else nan
+            self._tool = Reading(measured, height)
             if now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval
