@@ -19,7 +19,6 @@ Each test process takes a ROS domain of its own, so that several runs do not hea
 """
 
 from collections.abc import Callable, Iterator, Mapping
-import contextlib
 import os
 from pathlib import Path
 import signal
@@ -159,17 +158,19 @@ class Probe:
             ]
         )
         future = client.call_async(request)
-        for _ in range(3):
-            # The services of a node that a test before has killed are there for some time.
-            with contextlib.suppress(pytest.fail.Exception):
-                wait_until(future.done, f'the parameters of {node_name}', 15.0)
-                break
-            client.remove_pending_request(future)
-            future = client.call_async(request)
         wait_until(future.done, f'the parameters of {node_name}')
         results = future.result().results
         self.node.destroy_client(client)
         return list(results)
+
+    def forget(self, node_name: str) -> None:
+        """
+        Return once a node that was killed is taken for alive no more.
+
+        Until then its services are asked too, and do not answer.
+
+        """
+        wait_until(lambda: node_name not in self.node.get_node_names(), f'the end of {node_name}')
 
     def start_push(self) -> None:
         """Allow motion and start a push, once the controller has fresh readings."""
@@ -268,6 +269,38 @@ def probe(ros: None) -> Iterator[Probe]:
     made = Probe()
     yield made
     made.close()
+
+
+@pytest.fixture
+def connected(ros: None) -> Iterator[Callable[..., Any]]:
+    """
+    Connect a device in the test process, which is closed with the test.
+
+    What is returned takes the module of its node, the function that connects it and the values of
+    parameters.
+
+    """
+    from hapticvision_ros.nodes.parameters import Parameters
+    from rclpy.parameter import Parameter
+
+    made: list[Any] = []
+    nodes: list[Any] = []
+
+    def make(module: Any, connect: Callable[..., Any], values: Mapping[str, Any]) -> Any:
+        node = rclpy.create_node(
+            module.NAME,
+            automatically_declare_parameters_from_overrides=True,
+            parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
+        )
+        nodes.append(node)
+        made.append(connect(node, Parameters(node, module.NAME, module.PARAMETERS)))
+        return made[-1]
+
+    yield make
+    for device in made:
+        device.close()
+    for node in nodes:
+        node.destroy_node()
 
 
 class SimulatedWorld:

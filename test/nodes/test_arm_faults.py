@@ -31,17 +31,15 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from hapticvision_ros.bag.contract import ENABLE, PHASE, PUSH_REPORT, RETRACT, TOOL_HEIGHT
 from hapticvision_ros.core.devices import ArmState
 from hapticvision_ros.core.errors import DeviceError
+from hapticvision_ros.nodes import arm_push_controller
 from hapticvision_ros.nodes.arm_backends import connect
-from hapticvision_ros.nodes.arm_push_controller import NAME, PARAMETERS
 from hapticvision_ros.nodes.conversions import stamp_from_ns
-from hapticvision_ros.nodes.parameters import Parameters
 from hapticvision_ros.share import share_folder
 from hapticvision_ros.sim.devices import connect_arm
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -226,26 +224,9 @@ TOPICS = {
 
 
 @pytest.fixture
-def arm_of(ros):
+def arm_of(connected):
     """Connect back ends in the test process, which are closed with the test."""
-    arms, nodes = [], []
-
-    def make(kind):
-        values = TOPICS | BACKEND[kind]
-        node = rclpy.create_node(
-            NAME,
-            automatically_declare_parameters_from_overrides=True,
-            parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
-        )
-        nodes.append(node)
-        arms.append(connect(node, Parameters(node, NAME, PARAMETERS)))
-        return arms[-1]
-
-    yield make
-    for arm in arms:
-        arm.close()
-    for node in nodes:
-        node.destroy_node()
+    return lambda kind: connected(arm_push_controller, connect, TOPICS | BACKEND[kind])
 
 
 def moves(robot, arm, until, velocity):
@@ -495,3 +476,4 @@ def test_the_watchdog_stops_the_joints_when_the_controller_is_killed_in_a_push(
     assert cell.robot.commands[-1] == 0.0
     assert len(cell.robot.commands) > killed or cell.robot.commands[killed - 1] == 0.0
     assert cell.watchdog.returncode is None
+    probe.forget('arm_push_controller')

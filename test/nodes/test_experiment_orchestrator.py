@@ -285,6 +285,7 @@ def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
     assert values['status'] == 'ABORTED'
     assert '/arm/tool_height has been silent' in results[-1].message
     assert len(read_trial(Path(values['bag 1'])).force) > 10
+    probe.forget('arm_push_controller')
 
 
 def test_an_orchestrator_that_is_stopped_stops_the_arm_and_tells_how_the_experiment_ended(

@@ -29,6 +29,7 @@ import time
 from hapticvision_ros.bag.contract import POINTS
 from hapticvision_ros.core.devices import RangeFrame
 from hapticvision_ros.core.errors import DeviceError
+from hapticvision_ros.nodes import range_sensor_driver
 from hapticvision_ros.nodes.conversions import (
     cloud_to_message,
     ns_from_stamp,
@@ -37,14 +38,11 @@ from hapticvision_ros.nodes.conversions import (
     values_from_status,
     xyz_from_message,
 )
-from hapticvision_ros.nodes.parameters import Parameters
 from hapticvision_ros.nodes.range_backends import connect
-from hapticvision_ros.nodes.range_sensor_driver import NAME, PARAMETERS
 import numpy as np
 import pytest
 import rclpy
 from rclpy.context import Context
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField, RegionOfInterest
 
 WIDTH, HEIGHT = 64, 48
@@ -201,25 +199,9 @@ class Driver:
 
 
 @pytest.fixture
-def backend(ros):
+def backend(connected):
     """Make back ends in the test process, whose counts are told without delay."""
-    made, nodes = [], []
-
-    def make(**values):
-        node = rclpy.create_node(
-            NAME,
-            automatically_declare_parameters_from_overrides=True,
-            parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
-        )
-        nodes.append(node)
-        made.append(connect(node, Parameters(node, NAME, PARAMETERS)))
-        return made[-1]
-
-    yield make
-    for sensor in made:
-        sensor.close()
-    for node in nodes:
-        node.destroy_node()
+    return lambda **values: connected(range_sensor_driver, connect, values)
 
 
 @pytest.fixture
