@@ -48,10 +48,12 @@ WORLDS = {
     'keeps its volume (ratio 1)': USUAL,
     'keeps its volume (ratio 4)': replace(USUAL, volume_ratio=4.0, step=2.5e-4),
     'does not keep its volume (ratio 0)': replace(USUAL, volume_ratio=0.0),
-    'slides on the support': replace(USUAL, slides=True),
+    'slides on the support': replace(USUAL, friction=0.0),
     'spherical tool': BALL,
-    'ratio 0 and slides': replace(USUAL, volume_ratio=0.0, slides=True),
+    'ratio 0 and slides': replace(USUAL, volume_ratio=0.0, friction=0.0),
     'spherical tool of 12 mm': BALL,
+    'friction of 0.3 on the support': replace(USUAL, friction=0.3),
+    'friction of 0.15 on the support': replace(USUAL, friction=0.15),
 }
 RADII = {'spherical tool of 12 mm': 0.012}
 """Where it is not 8 mm [m]."""
@@ -61,6 +63,8 @@ ASKED_FOR = {
     'spherical tool': {'spherical tool'},
     'ratio 0 and slides': {'volume ratio 0', 'slides on the support'},
     'spherical tool of 12 mm': {'spherical tool'},
+    'friction of 0.3 on the support': {'friction 0.3 on the support'},
+    'friction of 0.15 on the support': {'friction 0.3 on the support'},
 }
 """What the shape should ask for; a ratio of 1 where it is true does no harm."""
 LENGTH, WIDTH, HEIGHT = 0.060, 0.040, 0.020

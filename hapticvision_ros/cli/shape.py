@@ -100,6 +100,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stiffness against a change of volume over Young's modulus (default: 14)",
     )
     parser.add_argument(
+        '--support-friction',
+        type=float,
+        metavar='MU',
+        help="Coulomb's coefficient under the object; 0 lets it slide (default: it sticks)",
+    )
+    parser.add_argument(
+        '--tool-friction',
+        type=float,
+        metavar='MU',
+        help='the same at the tool (default: what it touches sticks to it)',
+    )
+    parser.add_argument(
+        '--density',
+        type=float,
+        default=0.0,
+        metavar='KG_M3',
+        help='of the object, whose weight then pulls it down from the shape that was seen on '
+        '(default: 0, without weight)',
+    )
+    parser.add_argument(
         '--small',
         action='store_true',
         help='links keep their directions, as if the push were small: a body that is pressed deep '
@@ -274,8 +294,10 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError(f'--average {args.average}: from 1 to {_MOST_FRAMES} frames.')
     if args.contact is not None and not all(map(math.isfinite, args.contact)):
         raise UsageError(f'--contact {args.contact[0]:g} {args.contact[1]:g}: two finite numbers.')
-    if args.volume_ratio is not None and not 0.0 <= args.volume_ratio < float('inf'):
-        raise UsageError(f'--volume-ratio {args.volume_ratio:g}: zero or above.')
+    for name in ('volume_ratio', 'support_friction', 'tool_friction', 'density'):
+        value = getattr(args, name)
+        if value is not None and not 0.0 <= value < math.inf:
+            raise UsageError(f'--{name.replace("_", "-")} {value:g}: zero or above.')
 
 
 def _settings(args: argparse.Namespace) -> 'ShapeSettings':
@@ -289,9 +311,14 @@ def _settings(args: argparse.Namespace) -> 'ShapeSettings':
     from hapticvision_ros.core.surface.cloud import CloudSettings
     from hapticvision_ros.core.surface.study import ShapeSettings
 
-    surroundings = Surroundings(small=args.small)
+    surroundings = Surroundings(small=args.small, density=args.density)
     if args.volume_ratio is not None:
         surroundings = replace(surroundings, volume_ratio=args.volume_ratio)
+    for touch in ('tool', 'support'):
+        friction = getattr(args, f'{touch}_friction')
+        if friction is not None:
+            changed = replace(getattr(surroundings, touch), friction=friction)
+            surroundings = replace(surroundings, **{touch: changed})
     return ShapeSettings(
         cloud=CloudSettings(tool_radius=radius, average=args.average),
         pitch=pitch,

@@ -17,7 +17,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, MISSING
-from math import isnan
+from math import inf, isnan
 import os
 from pathlib import Path
 import sys
@@ -157,8 +157,8 @@ class SoftBodyModel:
     volume_ratio : float
         Stiffness against a change of volume over Young's modulus [-]; zero for a material with a
         Poisson's ratio of 1/4.
-    slides : bool
-        Whether it slides on the support; else it is glued there.
+    friction : float
+        Coulomb's coefficient under the block [-]; infinite for one that is glued to the support.
     sphere : bool
         Whether the tool ends in a sphere of its radius; else it is flat.
 
@@ -167,7 +167,7 @@ class SoftBodyModel:
     pitch: float
     step: float
     volume_ratio: float
-    slides: bool = False
+    friction: float = inf
     sphere: bool = False
 
 
@@ -237,6 +237,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     'pitch': (1e-3, 0.05),
     'step': (1e-5, 2e-3),
     'volume_ratio': (0.0, 50.0),
+    'friction': (0.0, inf),
 }
 
 

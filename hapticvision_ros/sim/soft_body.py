@@ -96,8 +96,9 @@ class SoftBody:
         Of the tool [m]; its axis is over the middle.
     step : float
         Time step [s]; the masses follow from it.
-    slides : bool
-        Whether it slides on the support without friction; else it is glued there.
+    friction : float
+        Coulomb's coefficient under the block [-]; infinite for one that is glued to the support,
+        which never lets go of it.
     sphere : bool
         Whether the tool ends in a sphere; else it is flat.
 
@@ -111,7 +112,7 @@ class SoftBody:
         radius: float,
         step: float,
         *,
-        slides: bool = False,
+        friction: float = math.inf,
         sphere: bool = False,
     ) -> None:
         self._pitch, self._step = pitch, step
@@ -136,7 +137,7 @@ class SoftBody:
         self._per = pitch / self._length
         self._flowed = np.zeros(len(self._links))
         below = self.rest[:, 2] == 0.0
-        self._held: Integers = np.where(below, _UPRIGHT if slides else _GLUED, _FREE)
+        self._held: Integers = np.where(below, _GLUED if math.isinf(friction) else _UPRIGHT, _FREE)
         self._round = radius if sphere else 0.0
         top = self.rest[:, 2].max()
         inside = np.hypot(self.rest[:, 0], self.rest[:, 1]) <= radius * (1.0 + 1e-9)
@@ -162,6 +163,7 @@ class SoftBody:
                 material.bulk_viscosity,
                 mass,
                 pitch,
+                0.0 if math.isinf(friction) else friction,
             ]
         )
         self.force = 0.0
@@ -293,7 +295,7 @@ def _advance(  # type: ignore[no-untyped-def]
     start,
     end,
 ):
-    spring, retardation, flow, threshold, bulk, thick, mass, pitch = numbers
+    spring, retardation, flow, threshold, bulk, thick, mass, pitch, friction = numbers
     yielding = 1.0 / (retardation + flow)
     n = x.shape[0]
     force = np.zeros((n, 3))
@@ -367,6 +369,14 @@ def _advance(  # type: ignore[no-untyped-def]
                 continue
             for a in range(held[i]):
                 v[i, a] += force[i, a] * dt / mass
+            if held[i] == _UPRIGHT and friction > 0.0:
+                # What presses it down takes at most all of its speed along the support.
+                lost = friction * max(-force[i, 2], 0.0) * dt / mass
+                speed = math.hypot(v[i, 0], v[i, 1])
+                left = 1.0 - lost / speed if speed > lost else 0.0
+                v[i, 0] *= left
+                v[i, 1] *= left
+            for a in range(held[i]):
                 x[i, a] += v[i, a] * dt
         for k in range(face.size):
             i = face[k]

@@ -155,7 +155,7 @@ class SoftObject:
             links,
             self._radius,
             step,
-            slides=model.slides,
+            friction=model.friction,
             sphere=model.sphere,
         )
 

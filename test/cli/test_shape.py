@@ -95,6 +95,21 @@ def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
     assert _no_nulls_without_reason(document)
 
 
+def test_friction_and_weight_are_declared(folder: Path, tmp_path: Path) -> None:
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
+    arguments += ['--small', '--rounds', '1', '--cell', '5mm', '--out', str(tmp_path / 'out')]
+    arguments += ['--tool-friction', '0', '--support-friction', '0.2', '--density', '1000']
+    assert main(arguments) == 0
+    usual = json.loads((folder / 'shape.json').read_text())
+    told = json.loads((tmp_path / 'out' / 'shape.json').read_text())
+    names = ('tool_friction', 'support_friction', 'density_kg_m3')
+    assert [told['simulation'][name] for name in names] == [0.0, 0.2, 1000.0]
+    assert [usual['simulation'][name] for name in names] == ['sticks', 'sticks', 0.0]
+    assert any('sinks for as long as it stands' in one for one in told['warnings'])
+    # A foot that slides lets the sides go out, and the weight helps.
+    assert told['bulge_m']['simulated'] > usual['bulge_m']['simulated'] + 2e-5
+
+
 def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
     looks = len(json.loads((folder / 'shape.json').read_text())['after'])
     names = {path.name for path in folder.iterdir()}
@@ -127,6 +142,9 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         (CLOUDS, [*TOOL, '--rounds', '0'], 'one run or more'),
         (CLOUDS, [*TOOL, '--average', '0'], 'from 1 to'),
         (CLOUDS, [*TOOL, '--volume-ratio', 'nan'], 'zero or above'),
+        (CLOUDS, [*TOOL, '--support-friction', '-0.1'], 'zero or above'),
+        (CLOUDS, [*TOOL, '--tool-friction', 'inf'], 'zero or above'),
+        (CLOUDS, [*TOOL, '--density', '-1'], 'zero or above'),
         (CLOUDS, [*TOOL, '--which', 'after'], "has no model 'after'"),
         (CLOUDS, [*TOOL, '--cell', '0.01mm'], 'nodes'),
         (CLOUDS, [*TOOL, '--contact', '0.5', '0.5'], 'does not meet the body'),

@@ -16,7 +16,7 @@
 
 from hapticvision_ros.core.body.lattice import box
 from hapticvision_ros.core.body.links import LinkLaw
-from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
 from hapticvision_ros.core.body.simulation import simulate
 from hapticvision_ros.sim.soft_body import SoftBody, SoftMaterial
 import numpy as np
@@ -24,6 +24,27 @@ import pytest
 
 SIZE = (0.04, 0.04, 0.04)
 RADIUS = 0.0126
+
+
+@pytest.mark.parametrize('friction', [0.0, 0.1, 0.3])
+def test_two_codes_that_share_nothing_slide_alike(friction: float) -> None:
+    size, height = (0.05, 0.05, 0.02), 0.02
+    motion = ToolMotion.trial(height, depth=0.003, push_speed=2e-3, hold=4.0, recovery=12.0)
+    around = Surroundings(Touch(0.0), Touch(friction, lets_go=False), volume_ratio=0.0)
+    law = LinkLaw(300.0, 5000.0, 6000.0)
+    run = simulate(box(size, 0.005), law, Tool(RADIUS, 0.0, 0.0), motion, around, at=(17.0,))
+    body = SoftBody(
+        size, 0.005, SoftMaterial(300.0, 5000.0, 6000.0), RADIUS, 1e-3, friction=friction
+    )
+    for start, end, before, after in zip(
+        run.t[:-1], run.t[1:], run.tool[:-1], run.tool[1:], strict=True
+    ):
+        body.advance(end - start, before, after)
+    feet = (run.lattice.points[:, 2] == 0.0, body.rest[:, 2] == 0.0)
+    spread = [np.ptp(run.frames[-1][feet[0], 0]), np.ptp(body.points[feet[1], 0])]
+    assert spread[1] - 0.05 > 2e-4
+    assert spread[1] == pytest.approx(spread[0], abs=0.05 * (spread[0] - 0.05))
+    assert body.sunk == pytest.approx(run.height[-1], abs=3e-5)
 
 
 @pytest.mark.parametrize('threshold', [0.2, 2.0])

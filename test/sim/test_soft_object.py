@@ -94,13 +94,13 @@ def test_a_fresh_object_has_no_dent(small: WorldConfig) -> None:
 
 def test_a_body_that_slides_spreads_at_its_foot(small: WorldConfig) -> None:
     spread = []
-    for slides in (False, True):
-        body = soft(small, slides=slides)
+    for friction in (np.inf, 0.4, 0.2, 0.0):
+        body = soft(small, friction=friction)
         press(body, 0.002)
         foot = body.rest[:, 2] == 0.0
         spread.append(float(np.ptp(body.points[foot, 0])) - 0.03)
     assert spread[0] == 0.0
-    assert spread[1] > 1e-4
+    assert np.all(np.diff(spread) > 3e-5)
 
 
 def test_a_sphere_makes_a_round_dent(small: WorldConfig) -> None:
@@ -179,8 +179,11 @@ def test_the_cell_says_that_its_object_deforms(tmp_path: Path) -> None:
     assert load_config().soft_body is None
     given = {'pitch': 0.005, 'step': 0.0005, 'volume_ratio': 1}
     assert read(**given).soft_body == SoftBodyModel(0.005, 0.0005, 1.0)
-    assert read(**given, slides=True).soft_body == SoftBodyModel(0.005, 0.0005, 1.0, slides=True)
-    with pytest.raises(InputError, match='slides must be true or false'):
-        read(**given, slides=1)
+    slides = SoftBodyModel(0.005, 0.0005, 1.0, friction=0.0)
+    assert read(**given, friction=0).soft_body == slides
+    with pytest.raises(InputError, match='friction is -1, but must lie in 0 to inf'):
+        read(**given, friction=-1)
+    with pytest.raises(InputError, match='sphere must be true or false'):
+        read(**given, sphere=1)
     with pytest.raises(InputError, match="soft_body: entry 'step' is missing"):
         read(pitch=0.005, volume_ratio=1.0)

@@ -30,6 +30,8 @@ doi:10.1016/S0021-9991(03)00194-3 (polynomial smoothers).
 """
 
 from dataclasses import dataclass, field
+import itertools
+from typing import Final
 
 from hapticvision_ros.core.body.lattice import DIRECTIONS
 from hapticvision_ros.core.kernels import kernel
@@ -138,86 +140,75 @@ def _invert(matrix, inverse, first, last):  # type: ignore[no-untyped-def]
         inverse[8, i] = np.float32(per * (a * d - b * b))
 
 
-@kernel(error_model='numpy')
-def _coarsen(  # type: ignore[no-untyped-def]
-    matrix, coarse, shape, coarse_shape, first, coarse_first
-):
-    """Set the coarse matrix to that of the fine one between trilinear fields (Galerkin)."""
-    nx, ny, nz = shape
-    cx, cy, _ = coarse_shape
-    coarse[:] = np.float32(0.0)
-    directions = DIRECTIONS
-    place = np.zeros(27, dtype=np.int64)
-    mirrored = np.zeros(27, dtype=np.bool_)
-    for k in range(13):
-        d = directions[k]
-        place[13 + d[0] + 3 * d[1] + 9 * d[2]] = k + 1
-        place[13 - d[0] - 3 * d[1] - 9 * d[2]] = k + 1
-        mirrored[13 - d[0] - 3 * d[1] - 9 * d[2]] = True
-    block = np.empty(9, dtype=np.float32)
-    for iz in range(nz):
-        for iy in range(ny):
-            for ix in range(nx):
-                i = first + ix + nx * (iy + ny * iz)
-                if matrix[0, 0, i] + matrix[0, 4, i] + matrix[0, 8, i] == 0.0:
+def _shares(axis: int) -> tuple[NDArray[np.intp], SingleArray]:
+    """
+    Return where the blocks of a matrix go when a grid is halved along one axis (Galerkin).
+
+    Returns
+    -------
+    ndarray of int, shape (m, 8)
+        Direction; parity of the node's place along the axis; half of that place to which it goes,
+        beside the half of the even place; direction there; whether the block goes there, whether
+        its transpose does; how far aside of the node along the other two axes.
+    ndarray of float32, shape (m,)
+        Weights of linear interpolation.
+
+    """
+    names = {tuple(d): k for k, d in enumerate([(0, 0, 0), *DIRECTIONS.tolist()])}
+    others = [one for one in range(3) if one != axis]
+    rows, weights = [], []
+    for d, k in names.items():
+        for parity in (0, 1):
+            ends = [
+                [(at // 2, 1.0)] if at % 2 == 0 else [(at // 2, 0.5), (at // 2 + 1, 0.5)]
+                for at in (parity, parity + d[axis])
+            ]
+            for (one, by_one), (two, by_two) in itertools.product(*ends):
+                there = list(d)
+                there[axis] = two - one
+                to = names.get(tuple(there))
+                if to == 0:
+                    # Both ends at one node: the mirror image of a block of two falls there too.
+                    row = (k, parity, one, 0, 1, min(k, 1), 0, 0)
+                elif to is not None:
+                    row = (k, parity, one, to, 1, 0, 0, 0)
+                elif k > 0:
+                    mirrored = names[tuple(-one for one in there)]
+                    row = (k, parity, two, mirrored, 0, 1, d[others[0]], d[others[1]])
+                else:
                     continue
-                for k in range(14):
-                    jx, jy, jz = ix, iy, iz
-                    if k > 0:
-                        jx += directions[k - 1, 0]
-                        jy += directions[k - 1, 1]
-                        jz += directions[k - 1, 2]
-                    size = np.float32(0.0)
-                    for e in range(9):
-                        block[e] = matrix[k, e, i]
-                        size += abs(block[e])
-                    if size == 0.0:
-                        continue
-                    for az in range(iz // 2, (iz + 1) // 2 + 1):
-                        for ay in range(iy // 2, (iy + 1) // 2 + 1):
-                            for ax in range(ix // 2, (ix + 1) // 2 + 1):
-                                wa = 1.0
-                                if ix % 2:
-                                    wa *= 0.5
-                                if iy % 2:
-                                    wa *= 0.5
-                                if iz % 2:
-                                    wa *= 0.5
-                                one = coarse_first + ax + cx * (ay + cy * az)
-                                for bz in range(jz // 2, (jz + 1) // 2 + 1):
-                                    for by in range(jy // 2, (jy + 1) // 2 + 1):
-                                        for bx in range(jx // 2, (jx + 1) // 2 + 1):
-                                            w = wa
-                                            if jx % 2:
-                                                w *= 0.5
-                                            if jy % 2:
-                                                w *= 0.5
-                                            if jz % 2:
-                                                w *= 0.5
-                                            share = np.float32(w)
-                                            to = 13 + (bx - ax) + 3 * (by - ay) + 9 * (bz - az)
-                                            two = coarse_first + bx + cx * (by + cy * bz)
-                                            c = place[to]
-                                            if c == 0:
-                                                # Both with the same coarse node; the mirror image
-                                                # of a block of two nodes falls there as well.
-                                                for e in range(9):
-                                                    coarse[0, e, one] += share * block[e]
-                                                if k > 0:
-                                                    for a in range(3):
-                                                        for b in range(3):
-                                                            coarse[0, 3 * a + b, one] += (
-                                                                share * block[3 * b + a]
-                                                            )
-                                            elif not mirrored[to]:
-                                                for e in range(9):
-                                                    coarse[c, e, one] += share * block[e]
-                                            elif k > 0:
-                                                for a in range(3):
-                                                    for b in range(3):
-                                                        coarse[c, 3 * a + b, two] += (
-                                                            share * block[3 * b + a]
-                                                        )
+                rows.append(row)
+                weights.append(by_one * by_two)
+    return np.array(rows, dtype=np.intp), np.array(weights, dtype=np.float32)
+
+
+@kernel(error_model='numpy', fastmath=True)
+def _halve(  # type: ignore[no-untyped-def]
+    fine, coarse, rows, weights, counts, inner, first, coarse_first, aside
+):
+    """Set out the matrix of a grid that is halved along one axis, with `inner` nodes below it."""
+    outer, n, m = counts
+    coarse[:] = np.float32(0.0)
+    for row in range(rows.shape[0]):
+        k, parity, at, to, straight, turned, by_one, by_two = rows[row]
+        w = weights[row]
+        shift = by_one * aside[0] + by_two * aside[1]
+        places = (n - parity + 1) // 2
+        for a in range(3):
+            for b in range(3):
+                source = fine[k, 3 * a + b]
+                for o in range(outer):
+                    for t in range(places):
+                        start = first + (o * n + 2 * t + parity) * inner
+                        goal = coarse_first + (o * m + t + at) * inner + shift
+                        if straight:
+                            out = coarse[to, 3 * a + b]
+                            for p in range(inner):
+                                out[goal + p] += w * source[start + p]
+                        if turned:
+                            out = coarse[to, 3 * b + a]
+                            for p in range(inner):
+                                out[goal + p] += w * source[start + p]
 
 
 @kernel(error_model='numpy', fastmath=True)
@@ -351,6 +342,9 @@ def project(matrix, node, fixed, first, offsets):  # type: ignore[no-untyped-def
                     matrix[k, 3 * a + b, p] = total
 
 
+_SHARES: Final = tuple(_shares(axis) for axis in range(3))
+
+
 @dataclass(eq=False)
 class Level:
     """
@@ -375,6 +369,7 @@ class Level:
     d: SingleArray = field(init=False)
     w: SingleArray = field(init=False)
     zero: SingleArray = field(init=False)
+    between: list[SingleArray] = field(default_factory=list)
     largest: float = field(default=2.0)
 
     def __post_init__(self) -> None:
@@ -401,6 +396,32 @@ class Level:
     def ends(self) -> tuple[int, int]:
         """Return where the margins end and begin."""
         return self.margin, self.margin + self.size
+
+    def halve(self, fine: 'Level') -> None:
+        """Set the matrix to that of a finer grid between trilinear fields, axis by axis."""
+        shape = fine.shape
+        matrix, first = fine.matrix, fine.margin
+        # The longest rows first: those of whole planes.
+        for step, axis in enumerate((2, 1, 0)):
+            sides = list(shape)
+            sides[axis] = self.shape[axis]
+            nx, ny, nz = sides
+            margin = nx * ny + nx + 1
+            if axis == 0:
+                halved = self.matrix
+            elif len(self.between) > step:
+                halved = self.between[step]
+            else:
+                halved = np.zeros((14, 9, nx * ny * nz + 2 * margin), dtype=np.float32)
+                self.between.append(halved)
+            strides = np.array([1, nx, nx * ny])
+            inner = int(strides[axis])
+            outer = nx * ny * nz // (inner * sides[axis])
+            rows, weights = _SHARES[axis]
+            aside = np.delete(strides, axis)
+            counts = (outer, shape[axis], sides[axis])
+            _halve(matrix, halved, rows, weights, counts, inner, first, margin, aside)
+            shape, matrix, first = (nx, ny, nz), halved, margin
 
     def multiply(self, x: SingleArray, y: SingleArray) -> None:
         """Set y to the matrix times x."""
@@ -490,9 +511,7 @@ class Multigrid:
         self._fresh = False
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             fine.prepare(iterations)
-            _coarsen(
-                fine.matrix, coarse.matrix, fine.shape, coarse.shape, fine.margin, coarse.margin
-            )
+            coarse.halve(fine)
         last = self.levels[-1]
         dense = np.zeros((3 * last.size, 3 * last.size))
         index = np.arange(last.size)

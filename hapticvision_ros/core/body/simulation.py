@@ -260,14 +260,19 @@ class Pressed:
         self.ends = np.zeros((13, length)) if math.isfinite(law.series_stiffness) else empty
         self.cells = self.place[lattice.cells]
         self.slopes, self.volumes = _cell_shapes(lattice)
+        # In the order of the matrix, which is larger than a cache.
+        order = np.argsort(self.cells[:, 0])
+        self.cells = self.cells[order]
+        if len(self.volumes) == len(order):
+            self.slopes, self.volumes = self.slopes[order], self.volumes[order]
         self.ratio = surroundings.volume_ratio * _MODULUS / lattice.pitch
         self.cell_z = np.zeros(len(self.cells))
         self.cell_ends = np.zeros(len(self.cells) if self.ends.size else 0)
         self.weight_of_node = np.zeros(len(lattice.points))
         if surroundings.density > 0.0:
             part = surroundings.density * surroundings.gravity / 8.0
-            volumes = np.broadcast_to(self.volumes, len(self.cells))
-            np.add.at(self.weight_of_node, lattice.cells, part * volumes[:, None])
+            volumes = np.broadcast_to(self.volumes, len(order))
+            np.add.at(self.weight_of_node, lattice.cells[order], part * volumes[:, None])
         self.contact = Contact(
             lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
         )

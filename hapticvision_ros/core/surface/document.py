@@ -15,9 +15,10 @@
 """``shape.json``: what a trial's shape tells, in SI units, which the names carry."""
 
 from collections.abc import Iterator, Mapping
+import math
 from typing import Any, Final
 
-from hapticvision_ros.core.body.push import Surroundings
+from hapticvision_ros.core.body.push import Surroundings, Touch
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.core.surface.compare import Comparison
 from hapticvision_ros.core.surface.deformation import Pair
@@ -80,7 +81,9 @@ def shape_document(
             'tool_radius_m': settings.cloud.tool_radius,
             'tool_is_sphere': settings.sphere,
             'volume_ratio': surroundings.volume_ratio,
-            'slides_on_support': surroundings.support.friction == 0.0,
+            'tool_friction': _friction(surroundings.tool),
+            'support_friction': _friction(surroundings.support),
+            'density_kg_m3': surroundings.density,
             'small_displacements': surroundings.small,
             'calibration_rounds': study.calibration.rounds,
             'force_misfit': study.calibration.force_misfit,
@@ -108,6 +111,10 @@ def shape_document(
         'seen_area_m2': study.deformation.seen_area,
         'warnings': list(_warnings(study)),
     }
+
+
+def _friction(touch: Touch) -> float | str:
+    return 'sticks' if math.isinf(touch.friction) else touch.friction
 
 
 def _pair(pair: Pair) -> dict[str, float | None]:

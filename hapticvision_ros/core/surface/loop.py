@@ -31,7 +31,7 @@ import math
 from types import MappingProxyType
 from typing import Final
 
-from hapticvision_ros.core.body.push import Surroundings, Touch
+from hapticvision_ros.core.body.push import Surroundings
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.surface.cloud import Observation
@@ -51,6 +51,11 @@ _BANDS: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Between these shares of the height."""
 _RINGS: Final = ((0.0, 0.4), (0.4, 0.8), (1.4, 1.8), (1.8, 2.4), (2.4, 3.2))
 """Between these multiples of the tool's radius, off the flank of the dent."""
+_FRICTIONS: Final = {
+    'slides on the support': 0.0,
+    'friction 0.3 on the support': 0.3,
+    'sticks to the support': math.inf,
+}
 _LEAST_RETURNS: Final = 30
 _LEAST_CELLS: Final = 12
 _LEAST_PARTS: Final = 3
@@ -211,11 +216,12 @@ def rivals(settings: ShapeSettings) -> dict[str, ShapeSettings]:
             found[f'volume ratio {ratio:g}'] = replace(
                 settings, surroundings=replace(around, volume_ratio=ratio)
             )
-    if around.support.friction > 0.0:
-        slides = Touch(friction=0.0, lets_go=around.support.lets_go)
-        found['slides on the support'] = replace(
-            settings, surroundings=replace(around, support=slides)
-        )
+    for name, friction in _FRICTIONS.items():
+        if friction != around.support.friction:
+            found[name] = replace(
+                settings,
+                surroundings=replace(around, support=replace(around.support, friction=friction)),
+            )
     tip = 'flat tool' if settings.sphere else 'spherical tool'
     found[tip] = replace(settings, sphere=not settings.sphere)
     return found

@@ -256,6 +256,11 @@ def study_shape(
                 'so that it divides the size'
             )
         warnings += _other_size(observed, settings.size)
+    if surroundings.density > 0.0 and 'yield_force' not in model.effects:
+        warnings.append(
+            'a body with weight whose model has no yield_force sinks for as long as it stands: '
+            'leave out its density, or choose a model with yield_force'
+        )
     if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
         warnings.append(
             f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '

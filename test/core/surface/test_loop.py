@@ -170,11 +170,14 @@ def test_rivals_differ_in_one_thing_from_what_was_declared() -> None:
         'volume ratio 0',
         'volume ratio 14',
         'slides on the support',
+        'friction 0.3 on the support',
         'flat tool',
     }
-    slides = found['slides on the support'].surroundings
-    assert slides is not None
-    assert (slides.support.friction, slides.volume_ratio) == (0.0, 1.0)
+    for name, friction in (('slides', 0.0), ('friction 0.3', 0.3)):
+        around = found[f'{name} on the support'].surroundings
+        assert around is not None
+        assert (around.support.friction, around.volume_ratio) == (friction, 1.0)
+        assert not around.support.lets_go
     other = found[OTHER_CELLS].pitch
     assert other is not None
     assert other > 0.0055
