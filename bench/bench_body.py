@@ -27,7 +27,7 @@ from dataclasses import replace
 import resource
 import time
 
-from hapticvision_ros.core.body.calibration import calibrate, gauge
+from hapticvision_ros.core.body.calibration import calibrate, gauge, geometry
 from hapticvision_ros.core.body.lattice import box, Lattice
 from hapticvision_ros.core.body.links import link_law, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
@@ -194,33 +194,22 @@ def match(pitch: float, depth: float, rounds: int) -> None:
             )
 
 
-def _stiffer(body: Lattice, law: LinkLaw, path: ToolMotion) -> tuple[FloatArray, FloatArray]:
-    """Return depths of a steady push, and the force over that of small displacements there."""
-    short = Accuracy(longest_step=0.25)
-    slight, run = (
-        simulate(body, law, TOOL, path, Surroundings(small=small), accuracy=short)
-        for small in (True, False)
-    )
-    middles = [0.5 * (one.t[1:] + one.t[:-1]) for one in (slight, run)]
-    told = np.interp(middles[1], middles[0], slight.force)
-    return SIZE[2] - path.at(middles[1]), run.force / told
-
-
-def geometry(pitch: float, depths: list[float], *, calibrated: bool) -> None:
+def deep(pitch: float, depths: list[float], rounds: int, *, calibrated: bool) -> None:
     """Print what a deep push does to a body of springs, to one of dashpots, and to the match."""
-    body, path = box(SIZE, pitch), motion(max(depths))
-    path = ToolMotion(path.t[:2], path.height[:2])
-    alone = [_stiffer(body, LinkLaw(*of), path) for of in ((1e3, 0.0, 1e15), (1e-3, 1e3, 1e15))]
-    model = Model()
-    print('depth mm | of the height % | springs | dashpots | force % | height % | recovered')
+    body = box(SIZE, pitch)
+    alone = geometry(body, TOOL, max(depths))
+    assert alone is not None
+    chosen = [Model(effects) for effects in ((), ('yield_force',), EFFECTS[-1])]
+    print('force %, height % of', ' | '.join(model.name for model in chosen))
+    print('depth mm | of the height % | springs | dashpots')
     for depth in depths:
         line = [f'{1e3 * depth:g}', f'{100 * depth / SIZE[2]:.1f}']
-        line += [f'{np.interp(depth, *one):.3f}' for one in alone]
-        if calibrated:
-            given = parameters(depth)
-            found = calibrate(body, model, given, TOOL, motion(depth), rounds=6)
-            line += [f'{100 * found.force_misfit:.2f}', f'{100 * found.height_misfit:.2f}']
-            line += [', '.join(f'{k} {v / given[k]:.3f}' for k, v in found.recovered.items())]
+        line += [
+            f'{np.interp(depth, alone.depth, one):.3f}' for one in (alone.springs, alone.dashpots)
+        ]
+        for model in chosen if calibrated else []:
+            found = calibrate(body, model, parameters(depth), TOOL, motion(depth), rounds=rounds)
+            line += [f'{100 * found.force_misfit:.2f}, {100 * found.height_misfit:.2f}']
         print(' | '.join(line), flush=True)
 
 
@@ -303,7 +292,7 @@ def main() -> int:
     elif arguments.what == 'growth':
         growth(pitches, depth)
     elif arguments.what == 'geometry':
-        geometry(pitches[0], depths, calibrated=not arguments.bare)
+        deep(pitches[0], depths, arguments.rounds, calibrated=not arguments.bare)
     elif arguments.what == 'edge':
         edge(pitches, depth)
     elif arguments.what == 'explicit':

@@ -122,15 +122,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--small',
         action='store_true',
-        help='links keep their directions, as if the push were small: a body that is pressed deep '
-        'then follows the identified model (with more --rounds) as it does not otherwise',
+        help='links keep their directions, as if the push were small; else their numbers change with '
+        'the depth, so that a body that is pressed deep follows the identified model all the same',
     )
     parser.add_argument(
         '--rounds',
         type=int,
-        default=3,
+        default=6,
         metavar='N',
-        help='runs of the calibration of the links at most (default: 3)',
+        help='runs of the calibration of the links at most (default: 6)',
     )
     parser.add_argument(
         '--average',

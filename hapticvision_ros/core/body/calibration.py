@@ -15,11 +15,11 @@
 """The numbers of the links from those of the identified model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticvision_ros.core.body.lattice import BoolArray, Lattice
-from hapticvision_ros.core.body.links import EFFECTS, Gauge, link_law, LinkLaw, scaled
+from hapticvision_ros.core.body.links import EFFECTS, Gauge, Geometry, link_law, LinkLaw, scaled
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
@@ -31,6 +31,9 @@ _OF_A_SPHERE: Final = 'contact_growth'
 """An effect of the object that no link carries: under a sphere it makes itself."""
 _ALIKE: Final = 5e-4
 """Relative difference between identified and fitted that makes none."""
+_SPRINGS: Final = LinkLaw(1e3, 0.0, 1e15)
+_DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
+_STEPS_OF_A_PUSH: Final = 16
 _FARTHEST: Final = 0.5
 """Largest change of a logarithm in a round."""
 
@@ -85,6 +88,56 @@ def gauge(
     return Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).static(
         depth
     )
+
+
+def geometry(
+    lattice: Lattice, tool: Tool, depth: float, surroundings: Surroundings | None = None
+) -> Geometry | None:
+    """
+    Return what a push does to the force of a body by the change of its shape alone.
+
+    A body of springs and one of dashpots are pressed at constant speed, with the links' directions
+    as they are and as they were at rest.
+
+    Parameters
+    ----------
+    lattice, tool, surroundings
+        As in `simulation.simulate`.
+    depth : float
+        How deep [m].
+
+    Returns
+    -------
+    Geometry or None
+        None for a body that does not bear this push.
+
+    """
+    around = replace(surroundings or Surroundings(), density=0.0)
+    top = Pressed(lattice, _SPRINGS, tool, around).meets()
+    push = ToolMotion(np.array([0.0, 1.0]), np.array([top, top - depth]))
+    even = 1.0 / _STEPS_OF_A_PUSH
+    accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
+    middle = even * (np.arange(_STEPS_OF_A_PUSH) + 0.5)
+    ratios = []
+    for law in (_SPRINGS, _DASHPOTS):
+        forces = []
+        for small in (False, True):
+            try:
+                run = simulate(
+                    lattice, law, tool, push, replace(around, small=small), accuracy=accuracy
+                )
+            except InputError:
+                return None
+            forces.append(np.interp(middle, 0.5 * (run.t[1:] + run.t[:-1]), run.force))
+        true, linear = forces
+        if not (true > 0.0).all() or not (linear > 0.0).all():
+            return None
+        ratios.append(true / linear)
+    at = np.array([0.0, *middle, 1.0])
+    springs, dashpots = (
+        np.array([1.0, *one, max(1.5 * one[-1] - 0.5 * one[-2], 0.5 * one[-1])]) for one in ratios
+    )
+    return Geometry(depth * at, springs, dashpots)
 
 
 def calibrate(
@@ -148,6 +201,8 @@ def calibrate(
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, surroundings, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
+    if not (surroundings or Surroundings()).small:
+        law = replace(law, geometry=geometry(lattice, tool, deepest, surroundings))
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
     used = np.array([name in given for name in carried.names])
@@ -271,8 +326,13 @@ def _off(
     theta = model.theta(target)
     missed = misses.values(theta)
     slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
-    off = np.linalg.lstsq(slopes[:, used], -missed, rcond=1e-6)[0]
-    return off, float(np.linalg.norm(missed))
+    cost = float(np.linalg.norm(missed))
+    # As in Levenberg's method, with a damping that goes as the misses go: numbers that make up for
+    # each other are not moved far for what no number can make good.
+    damping = cost * np.eye(int(np.count_nonzero(used)))
+    rows = np.concatenate([slopes[:, used], damping])
+    wanted = np.concatenate([-missed, np.zeros(len(damping))])
+    return np.linalg.lstsq(rows, wanted, rcond=1e-9)[0], cost
 
 
 def _fit(

@@ -26,6 +26,8 @@ import math
 from typing import Final
 
 from hapticvision_ros.core.models.chain import REFERENCE_RATE
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
 
 EFFECTS: Final = (
     'yield_force',
@@ -36,6 +38,29 @@ EFFECTS: Final = (
     'damage',
 )
 """Effects of the object that a link can carry."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """
+    What the shape of a pressed body does to its force, whatever its links are.
+
+    Springs resist how far the shape has changed, dashpots how fast it changes now: a deep push
+    makes other factors of the two.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (n,)
+        Of the surface under the tool, from zero on [m].
+    springs, dashpots : ndarray, shape (n,)
+        Force of a body of springs alone, and of dashpots alone, over what it would be if the links
+        kept their directions [-].
+
+    """
+
+    depth: FloatArray
+    springs: FloatArray
+    dashpots: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +92,9 @@ class LinkLaw:
         Share of k that is lost when its stretch has reached `reference_stretch` [-].
     reference_stretch : float
         [m]
+    geometry : Geometry or None
+        What is taken out of all numbers at each depth, so that the body answers as it would if
+        geometry did not change; None for numbers that hold at any depth.
 
     """
 
@@ -82,6 +110,31 @@ class LinkLaw:
     reference_rate: float = REFERENCE_RATE
     damage: float = 0.0
     reference_stretch: float = 1.0
+    geometry: Geometry | None = None
+
+    def at(self, depth: float) -> 'LinkLaw':
+        """
+        Return the numbers that hold where the surface under the tool is so deep [m].
+
+        A rate of the shape that is a times larger makes the force of a dashpot a^2 times, of a
+        power law a^(1 + n) times and of a threshold a times larger, by the power that they take.
+
+        """
+        of = self.geometry
+        if of is None:
+            return self
+        springs = 1.0 / float(np.interp(depth, of.depth, of.springs))
+        dashpots = 1.0 / float(np.interp(depth, of.depth, of.dashpots))
+        return replace(
+            self,
+            stiffness=self.stiffness * springs,
+            series_stiffness=self.series_stiffness * dashpots,
+            unit_stiffness=self.unit_stiffness * springs,
+            bounce_viscosity=self.bounce_viscosity * dashpots,
+            unit_viscosity=self.unit_viscosity * dashpots,
+            flow_viscosity=self.flow_viscosity * dashpots ** (0.5 + 0.5 * self.flow_index),
+            yield_force=self.yield_force * math.sqrt(dashpots),
+        )
 
     @property
     def plain(self) -> bool:

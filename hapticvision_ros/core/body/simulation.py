@@ -300,9 +300,18 @@ class Pressed:
         dashpots = 1.0 / (1.0 / law.bounce_viscosity + 1.0 / law.flow_viscosity)
         return _FRESH * math.sqrt(accuracy.force) * dashpots / law.series_stiffness
 
-    def numbers(self, h: float, *, touching: bool) -> FloatArray:
-        """Return the law of links and cells over a step."""
-        law = self.law
+    def deep(self, h: float, descent: float, speed: FloatArray | None) -> float:
+        """Return how deep the surface under the tool is about the middle of a step [m]."""
+        if self.law.geometry is None:
+            return 0.0
+        face = self.face(0.0)
+        depth = float((self.lattice.points[face, 2] - self.x0[2, self.place[face]]).mean())
+        if speed is not None:
+            return depth - 0.5 * h * float(speed[face, 2].mean())
+        return depth + 0.5 * max(descent, 0.0)
+
+    def numbers(self, law: LinkLaw, h: float, *, touching: bool) -> FloatArray:
+        """Return a law of links and cells over a step."""
         q = np.zeros(forces.NUMBERS)
         against = law.bounce_viscosity + (law.flow_viscosity if touching else 0.0)
         b = forces.fitted_weight(h * law.stiffness / against) if against > 0.0 else 1.0
@@ -450,7 +459,8 @@ class Pressed:
         start = self.x0[:, self.place].T
         was = contact.by_tool.copy()
         contact.start(start, before, down=height < before)
-        q = self.numbers(h, touching=bool(contact.by_tool.any()) or height < before)
+        law = self.law.at(self.deep(h, before - height, speed))
+        q = self.numbers(law, h, touching=bool(contact.by_tool.any()) or height < before)
         self._q = q
         # Mean forces that balance would turn what the ends leave out of balance, as on a node that
         # is let go, over in each step: it would ring. So the means leave what makes the ends

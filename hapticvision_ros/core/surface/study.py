@@ -104,7 +104,7 @@ class ShapeSettings:
     contact: tuple[float, float] | None = None
     sphere: bool = False
     surroundings: Surroundings | None = None
-    rounds: int = 3
+    rounds: int = 6
     pictures: int = 40
 
 

@@ -90,7 +90,7 @@ def test_a_body_that_turns_and_shifts_is_under_no_force() -> None:
         ]
     )
     body.x1[:, body.place] = turn @ body.x0[:, body.place] + 0.01
-    q = body.numbers(0.1, touching=True)
+    q = body.numbers(body.law, 0.1, touching=True)
     net = body.evaluate(q, fill=False)
     # Against the force of a link that is stretched by a thousandth of its length.
     assert np.abs(net).max() < 1e-9 * C1 / 0.1 * 1e-5
