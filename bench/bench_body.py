@@ -33,7 +33,6 @@ from hapticvision_ros.core.body.links import link_law, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, simulate
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.surface.deformation import mesh_height
 from hapticvision_ros.core.surface.mesh import Mesh
 from hapticvision_ros.sim.soft_body import SoftBody, SoftMaterial

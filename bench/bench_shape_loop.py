@@ -23,6 +23,7 @@ What differs in the world is declared nowhere. The tables are those of doc/shape
 """
 
 import argparse
+from collections.abc import Sequence
 import contextlib
 from dataclasses import replace
 import io
@@ -91,7 +92,17 @@ def truth(world: offline.World) -> tuple[float, float]:
     return world.displacement, float((rest - points)[facing, 1].mean())
 
 
-def record(folder: Path, model: SoftBodyModel, radius: float, seed: int) -> list[str]:
+def record(
+    folder: Path,
+    model: SoftBodyModel,
+    radius: float,
+    seed: int,
+    *,
+    pushes: Sequence[tuple[float, float]] = PUSHES,
+    material: Material = MATERIAL,
+    hold: float = 3.0,
+    recover: float = 2.0,
+) -> list[str]:
     """Make the bags of a world."""
     cell = load_config()
     cell = replace(
@@ -103,11 +114,11 @@ def record(folder: Path, model: SoftBodyModel, radius: float, seed: int) -> list
         soft_body=model,
     )
     bags = []
-    for k, (speed, depth) in enumerate(PUSHES):
+    for k, (speed, depth) in enumerate(pushes):
         bag = folder / f'push_{k + 1}'
-        plan = TrialPlan(push_speed=speed, depth=depth, hold_time=3.0, recover_time=2.0)
+        plan = TrialPlan(push_speed=speed, depth=depth, hold_time=hold, recover_time=recover)
         clouds = CloudPlan(width=96, height=72, depth_noise=0.0003)
-        record_trial(bag, cell, MATERIAL, plan, seed=seed + k, clouds=clouds)
+        record_trial(bag, cell, material, plan, seed=seed + k, clouds=clouds)
         bags.append(str(bag))
     return bags
 

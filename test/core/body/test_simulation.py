@@ -17,7 +17,7 @@
 from dataclasses import replace
 import math
 
-from hapticvision_ros.core.body.calibration import calibrate, gauge
+from hapticvision_ros.core.body.calibration import calibrate, gauge, geometry
 from hapticvision_ros.core.body.lattice import box, Lattice
 from hapticvision_ros.core.body.links import EFFECTS, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
@@ -269,6 +269,39 @@ def test_a_calibrated_body_of_all_effects_answers_as_identified() -> None:
     found = calibrate(block, Model(EFFECTS), given, DISC, trial, around, rounds=8)
     assert found.force_misfit < 0.01
     assert found.height_misfit < 0.01
+
+
+@pytest.mark.parametrize('effects', [(), ('yield_force',), ('shear_thinning',), ('damage',)])
+def test_a_body_that_is_pressed_deep_answers_as_identified(effects: tuple[str, ...]) -> None:
+    # A quarter of the height: by geometry alone it is off by 2 to 4 % of the force.
+    deep = ToolMotion.trial(0.04, depth=0.010, push_speed=2e-3, hold=30.0, recovery=30.0)
+    given = IDENTIFIED | {'F_y': 5.0, 'n': 0.8, 'D': 0.1}
+    found = calibrate(BLOCK, Model(effects), given, DISC, deep, rounds=8)
+    assert found.force_misfit < 0.01
+    assert found.height_misfit < 0.01
+    assert found.run.volume.min() > 0.99 * found.run.volume[0]
+
+
+def test_geometry_begins_as_a_slight_push_and_tells_springs_from_dashpots() -> None:
+    found = geometry(BLOCK, DISC, 0.010)
+    assert found is not None
+    assert (found.depth[0], found.springs[0], found.dashpots[0]) == (0.0, 1.0, 1.0)
+    assert found.depth[-1] == pytest.approx(0.010)
+    assert np.abs(found.springs[:3] - 1.0).max() < 0.02
+    assert np.abs(found.dashpots[:3] - 1.0).max() < 0.02
+    assert found.dashpots[-1] > found.springs[-1] + 0.1
+    law = replace(LAW, yield_force=2.0, flow_index=0.5, geometry=found)
+    assert law.at(0.0) == law
+    there = law.at(0.010)
+    rate = 1.0 / found.dashpots[-1]
+    assert there.stiffness == pytest.approx(K / found.springs[-1])
+    assert there.bounce_viscosity == pytest.approx(C1 * rate)
+    assert there.flow_viscosity == pytest.approx(C2 * rate**0.75)
+    assert there.yield_force == pytest.approx(2.0 * rate**0.5)
+
+
+def test_a_push_that_is_not_borne_has_no_geometry() -> None:
+    assert geometry(BLOCK, DISC, 0.0395, Surroundings(volume_ratio=0.0)) is None
 
 
 def test_a_calibration_keeps_the_round_whose_force_and_height_are_nearest() -> None:
