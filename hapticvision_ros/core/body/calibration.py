@@ -91,7 +91,12 @@ def gauge(
 
 
 def geometry(
-    lattice: Lattice, tool: Tool, depth: float, surroundings: Surroundings | None = None
+    lattice: Lattice,
+    tool: Tool,
+    depth: float,
+    surroundings: Surroundings | None = None,
+    *,
+    lasting: float = 1.0,
 ) -> Geometry | None:
     """
     Return what a push does to the force of a body by the change of its shape alone.
@@ -105,6 +110,8 @@ def geometry(
         As in `simulation.simulate`.
     depth : float
         How deep [m].
+    lasting : float
+        How long the push takes for which it is wanted [s].
 
     Returns
     -------
@@ -137,7 +144,7 @@ def geometry(
     springs, dashpots = (
         np.array([1.0, *one, max(1.5 * one[-1] - 0.5 * one[-2], 0.5 * one[-1])]) for one in ratios
     )
-    return Geometry(depth * at, springs, dashpots)
+    return Geometry(depth * at, springs, dashpots, lasting)
 
 
 def calibrate(
@@ -202,7 +209,9 @@ def calibrate(
     measure = gauge(lattice, tool, surroundings, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
     if not (surroundings or Surroundings()).small:
-        law = replace(law, geometry=geometry(lattice, tool, deepest, surroundings))
+        lasting = float(motion.t[np.argmin(motion.height)] - motion.t[0])
+        known = geometry(lattice, tool, deepest, surroundings, lasting=lasting)
+        law = replace(law, geometry=known)
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
     used = np.array([name in given for name in carried.names])

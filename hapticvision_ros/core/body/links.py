@@ -55,12 +55,16 @@ class Geometry:
     springs, dashpots : ndarray, shape (n,)
         Force of a body of springs alone, and of dashpots alone, over what it would be if the links
         kept their directions [-].
+    lasting : float
+        How long the push takes: a spring in series with dashpots that relax it in much less is
+        stretched by the rate of the push, and else by its depth [s].
 
     """
 
     depth: FloatArray
     springs: FloatArray
     dashpots: FloatArray
+    lasting: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +129,16 @@ class LinkLaw:
             return self
         springs = 1.0 / float(np.interp(depth, of.depth, of.springs))
         dashpots = 1.0 / float(np.interp(depth, of.depth, of.dashpots))
+        by_depth = 1.0
+        if self.bounce_viscosity > 0.0 and math.isfinite(self.series_stiffness):
+            both = 1.0 / (1.0 / self.bounce_viscosity + 1.0 / self.flow_viscosity)
+            relaxing = both / self.series_stiffness
+            by_depth = relaxing / (relaxing + of.lasting)
+        series = springs**by_depth * dashpots ** (1.0 - by_depth)
         return replace(
             self,
             stiffness=self.stiffness * springs,
-            series_stiffness=self.series_stiffness * dashpots,
+            series_stiffness=self.series_stiffness * series,
             unit_stiffness=self.unit_stiffness * springs,
             bounce_viscosity=self.bounce_viscosity * dashpots,
             unit_viscosity=self.unit_viscosity * dashpots,

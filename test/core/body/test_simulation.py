@@ -298,6 +298,10 @@ def test_geometry_begins_as_a_slight_push_and_tells_springs_from_dashpots() -> N
     assert there.bounce_viscosity == pytest.approx(C1 * rate)
     assert there.flow_viscosity == pytest.approx(C2 * rate**0.75)
     assert there.yield_force == pytest.approx(2.0 * rate**0.5)
+    # A series spring that relaxes fast goes with the rate of the push, a slow one with its depth.
+    for stiffness, factor in ((1e9, rate), (1e-3, 1.0 / found.springs[-1])):
+        series = replace(law, series_stiffness=stiffness).at(0.010).series_stiffness
+        assert series == pytest.approx(stiffness * factor, rel=1e-3)
 
 
 def test_a_push_that_is_not_borne_has_no_geometry() -> None:
