@@ -49,7 +49,7 @@ def shapes(result: Path, bags: list[str], which: str, out: Path) -> list[dict[st
     """Return what `hapticvision shape` writes of each bag."""
     command = ['shape', str(result), *bags, '--tool-radius', f'{RADIUS}', '--which', which]
     command += ['--size', '60x40x20mm', '--cell', '4mm', '--out', str(out)]
-    # The shape of this body has asked for this: it was found by --close-loop in other bags.
+    # What is known of this cell, and the force does not tell.
     command += ['--volume-ratio', '1', '--tool-friction', '0']
     if hapticvision(command) != 0:
         raise SystemExit('a shape could not be simulated')

@@ -88,6 +88,7 @@ from hapticvision_ros.nodes.qos import (
 )
 from hapticvision_ros.nodes.runtime import ManagedCellNode, run, THREAD_JOIN_TIMEOUT
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
@@ -463,8 +464,14 @@ class ArmPushController(ManagedCellNode):
 
     def on_shutdown(self, state: Any) -> Any:
         """End the node."""
+        running = self._control is not None
         self._forbid(SHUT_DOWN)
         self._active = False
+        if not running:
+            # Else the report on the push tells it. Nobody is to allow motion to the controller
+            # that may be started in the place of this one.
+            self._report.publish(status_to_message('push', SHUT_DOWN, {}))
+            self._report.wait_for_all_acked(Duration(seconds=THREAD_JOIN_TIMEOUT))
         self.stopping.set()
         return TransitionCallbackReturn.SUCCESS
 

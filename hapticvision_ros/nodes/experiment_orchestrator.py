@@ -82,6 +82,7 @@ from hapticvision_ros.core.push_control import (
     NOT_ALLOWED,
     PushGoal,
     PushLimits,
+    SHUT_DOWN,
     STOPPED_BY_HAND,
     TAKEN_BACK,
 )
@@ -894,6 +895,8 @@ class ExperimentOrchestrator(CellNode):
 
     def _on_push_report(self, message: Any) -> None:
         self._push_report = message
+        if message.message == SHUT_DOWN and self._experiment is not None:
+            self._experiment.forbidden(SHUT_DOWN, time.monotonic())
 
     def _on_emergency_stop(self, message: Any) -> None:
         self._emergency = bool(message.data)

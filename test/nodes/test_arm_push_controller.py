@@ -14,7 +14,6 @@
 
 """The arm push controller as a process, with load cell driver, on the simulated cell."""
 
-import contextlib
 from dataclasses import replace
 import math
 import os
@@ -38,6 +37,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.core.devices import ArmState
+from hapticvision_ros.core.push_control import SHUT_DOWN
 from hapticvision_ros.nodes.arm_push_controller import ArmPushController
 from hapticvision_ros.nodes.conversions import (
     contact_force,
@@ -444,17 +444,12 @@ def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_ce
     def change(transition):
         request = ChangeState.Request()
         request.transition.id = transition
-        for _ in range(4):
-            states = probe.node.create_client(ChangeState, 'arm_push_controller/change_state')
-            until(states.service_is_ready, 'the lifecycle services')
-            future = states.call_async(request)
-            # The services of a controller that a test before has killed are there for some time.
-            with contextlib.suppress(pytest.fail.Exception):
-                until(future.done, 'the transition', 15.0)
-            probe.node.destroy_client(states)
-            if future.done():
-                return future.result().success
-        pytest.fail('the controller does not change its state')
+        states = probe.node.create_client(ChangeState, 'arm_push_controller/change_state')
+        until(states.service_is_ready, 'the lifecycle services')
+        future = states.call_async(request)
+        until(future.done, 'the transition')
+        probe.node.destroy_client(states)
+        return future.result().success
 
     assert change(Transition.TRANSITION_CONFIGURE)
     refused = probe.call(ENABLE, SetBool.Request(data=True))
@@ -469,5 +464,10 @@ def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_ce
     assert tool[-1].data > low + 0.009
     until(lambda: change(Transition.TRANSITION_CLEANUP), 'the cleaning up')
     assert change(Transition.TRANSITION_CONFIGURE) and change(Transition.TRANSITION_ACTIVATE)
-    assert controller.stop() == 0
+    reports = probe.listen(PUSH_REPORT)
+    until(lambda: probe.node.count_publishers(PUSH_REPORT.name), 'whoever reports')
+    change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert controller.wait() == 0
+    until(lambda: reports, 'that it was shut down')
+    assert reports[-1].message == SHUT_DOWN
     assert 'Traceback' not in controller.output

@@ -29,6 +29,7 @@ from typing import Any
 
 from action_msgs import msg as action
 from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticStatus
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
     DISPLACEMENT_HEIGHT,
@@ -57,6 +58,7 @@ from hapticvision_ros.core.experiment import (
     TrialOutcome,
 )
 from hapticvision_ros.core.pipeline import analyse
+from hapticvision_ros.core.push_control import SHUT_DOWN
 from hapticvision_ros.nodes.conversions import values_from_status
 from hapticvision_ros.nodes.experiment_orchestrator import (
     ACTIVE,
@@ -494,6 +496,20 @@ def test_a_controller_that_was_deactivated_between_two_pushes_stays_so(node, mon
     assert (experiment.step is Step.DISABLE) == begun
     assert (asked[-1] is asked) != begun, 'whether its state was changed'
     monkeypatch.setattr(node, '_call', None)
+
+
+@pytest.mark.parametrize(
+    ('told', 'ends'), [(SHUT_DOWN, True), ('The push came to its end.', False)]
+)
+def test_a_controller_that_was_shut_down_between_two_pushes_is_not_allowed_again(
+    node, monkeypatch, told, ends
+):
+    experiment = came_to(Step.BRING_UP)
+    monkeypatch.setattr(node, '_experiment', experiment)
+    node._on_push_report(DiagnosticStatus(message=told))
+    assert (experiment.step is Step.DISABLE) == ends
+    assert experiment.status.terminal is False
+    monkeypatch.setattr(node, '_experiment', None)
 
 
 def test_an_arm_whose_services_are_not_found_any_more_is_asked_by_new_clients(node, monkeypatch):
