@@ -269,6 +269,9 @@ def run_world(kind: type[WorldServer], argv: Sequence[str] | None = None) -> int
     def request_stop(_number: int, _frame: FrameType | None) -> None:
         nonlocal stop
         stop = True
+        # Ctrl-C under `ros2 launch` comes twice: the second is not to kill it in its last moments.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
