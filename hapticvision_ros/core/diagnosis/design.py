@@ -61,6 +61,8 @@ _FLOOR: Final = 3.0
 _TOLERANCE: Final = 5e-3
 _UNLIKELY: Final = 1e-3
 """A model that is less likely to be the right one is not asked."""
+_HARDLY: Final = 2.0
+"""Standard deviations below which a push does not tell two effects apart."""
 _PASSES: Final = 0.01
 """Squares of a miss, over the samples, from which on a part of it passes for noise."""
 
@@ -174,6 +176,14 @@ def suggest(
             f'{separates[0]} and {separates[1]} answer it differently, by {gain:.2g} standard '
             f'deviations of the noise'
         )
+        apart = {_odd(first, second), _odd(second, first)}
+        kinds = {each.name: each.kind for one in (first, second) for each in one.model.declared}
+        of_cell = sorted(name for name in apart if kinds.get(name, 'object') != 'object')
+        if gain < _HARDLY and len(of_cell) == 1:
+            reason += (
+                f': hardly. Something rigid in the place of the object, pushed as hard, would '
+                f'show {of_cell[0]} by itself'
+            )
     return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason)
 
 

@@ -70,6 +70,27 @@ def test_the_push_stays_within_what_the_cell_can_do(short: Any, rival: bool) -> 
         assert push.gain > 1.0
 
 
+@pytest.mark.parametrize(('other', 'told'), [('machine_compliance', True), ('yield_force', False)])
+def test_what_no_push_of_this_object_tells_something_rigid_does(
+    world: Any, other: str, told: bool
+) -> None:
+    # The height is that of the arm's encoders: a spring in series is where the object gives, or
+    # where the machine does.
+    made = world.measure(
+        world.campaign(SHORT, hold=2.0, recover=2.0),
+        Undeclared('machine_compliance', (1e6,)),
+        seed=3,
+    )
+    bench, base = made.bench()
+    first, second = (bench.refit(Model((name,)), base) for name in ('series_spring', other))
+    assert first is not None
+    assert second is not None
+    push = suggest(bench, first, second, made.phases, LIMITS)
+    assert push is not None
+    rigid = f'Something rigid in the place of the object, pushed as hard, would show {other}'
+    assert (rigid in push.reason) == told
+
+
 def test_a_push_that_should_be_fast_and_deep_ends_where_the_cell_does(noise_only: Any) -> None:
     bench, base = noise_only.bench()
     push = suggest(bench, base, None, noise_only.phases, LIMITS)
