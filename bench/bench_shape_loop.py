@@ -128,7 +128,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--worlds', type=int, nargs='*', help='which, from 0')
     parser.add_argument('--cell', default='4mm')
-    parser.add_argument('--rounds', default='6')
+    parser.add_argument('--rounds', default='8')
     parser.add_argument('--small', action='store_true', help='small displacements')
     parser.add_argument('--seed', type=int, default=1, help='the first')
     parser.add_argument('--seeds', type=int, default=1, help='campaigns of each world')

@@ -150,10 +150,7 @@ def block(rows: Sequence[Row], pitch: float, rounds: int, *, small: bool) -> lis
         of_body, of_model, worst = [], [], (0.0, 0.0)
         line = [case.name]
         for row in rows:
-            shown = None
-            # Links that turn with the body make nothing of this effect, see doc/shape.md.
-            if small or 'shear_thinning' not in case.effects:
-                shown = simulated(case, row, pitch, rounds, small=small)
+            shown = simulated(case, row, pitch, rounds, small=small)
             if shown is None:
                 line.append(f'{case.hold(row):.0f}: -')
                 continue
@@ -198,7 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--out', type=Path, help='page whose tables are renewed')
     parser.add_argument('--cell-mm', type=float, default=5.0)
-    parser.add_argument('--rounds', type=int, default=6)
+    parser.add_argument('--rounds', type=int, default=8)
     args = parser.parse_args()
     rows = read_rows()
     lines = []

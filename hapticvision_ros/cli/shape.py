@@ -128,9 +128,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--rounds',
         type=int,
-        default=6,
+        default=8,
         metavar='N',
-        help='runs of the calibration of the links at most (default: 6)',
+        help='runs of the calibration of the links at most (default: 8)',
     )
     parser.add_argument(
         '--average',
@@ -297,7 +297,7 @@ def _check(args: argparse.Namespace) -> None:
     for name in ('volume_ratio', 'support_friction', 'tool_friction', 'density'):
         value = getattr(args, name)
         if value is not None and not 0.0 <= value < math.inf:
-            raise UsageError(f'--{name.replace("_", "-")} {value:g}: zero or above.')
+            raise UsageError(f'--{name.replace("_", "-")} {value:g}: zero or above, and finite.')
 
 
 def _settings(args: argparse.Namespace) -> 'ShapeSettings':

@@ -320,8 +320,8 @@ class Experiment:
     cannot be written, abort the experiment at once. Whatever was recorded until then is kept.
 
     Where somebody has taken back the permission to move (the emergency stop, a controller that
-    was disabled or deactivated) the experiment is aborted, and nothing moves any more for its
-    sake: who releases the stop does not expect the arm to go on.
+    was disabled, deactivated or shut down) the experiment is aborted, and nothing moves any more
+    for its sake: who releases the stop does not expect the arm to go on.
 
     A goal with a budget goes on after its grid: each `ANALYSE` is answered by `found`, which adds
     a trial or ends the experiment, or by `analysis_failed`, which aborts it.
@@ -382,6 +382,7 @@ class Experiment:
         # lost its height, or its controller was ended.
         self._low = False
         self._forbidden = False
+        self._gone = False
         self._then: Step | None = None
         self._step = Step.BRING_UP
         self.entered = now
@@ -476,7 +477,7 @@ class Experiment:
         else:
             self._enter(Step.DISABLE, now)
 
-    def forbidden(self, reason: str, now: float) -> None:
+    def forbidden(self, reason: str, now: float, *, gone: bool = False) -> None:
         """
         Take note that somebody has forbidden motion: the experiment is aborted where it stands.
 
@@ -486,15 +487,20 @@ class Experiment:
             One sentence.
         now : float
             Time [s].
+        gone : bool
+            Whether the controller has ended, so that it need not be told.
 
         """
         if self._forbidden or self.status.terminal:
             return
         self._forbidden = True
+        self._gone = gone
         self.reason = self.reason or reason
         # A trial that is being stopped or closed is brought to its end first.
         if self._step not in (Step.STOP, Step.FINISH, Step.DISABLE):
             self.failed(reason, now)
+        elif gone:
+            self._enter(self._step, now)
 
     def lost(self, reason: str, now: float) -> None:
         """
@@ -706,6 +712,11 @@ class Experiment:
 
     def _enter(self, step: Step, now: float) -> None:
         """Go to a step; a new trial forgets the last one's troubles."""
+        if self._gone and step is Step.DISABLE:
+            self._end(now)
+            return
+        if self._gone and step is Step.STOP:
+            step = Step.FINISH
         if step is Step.BRING_UP:
             self._trial_failed = False
             self._trial_reason = ''

@@ -88,7 +88,6 @@ from hapticvision_ros.nodes.qos import (
 )
 from hapticvision_ros.nodes.runtime import ManagedCellNode, run, THREAD_JOIN_TIMEOUT
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
@@ -471,7 +470,6 @@ class ArmPushController(ManagedCellNode):
             # Else the report on the push tells it. Nobody is to allow motion to the controller
             # that may be started in the place of this one.
             self._report.publish(status_to_message('push', SHUT_DOWN, {}))
-            self._report.wait_for_all_acked(Duration(seconds=THREAD_JOIN_TIMEOUT))
         self.stopping.set()
         return TransitionCallbackReturn.SUCCESS
 
@@ -785,11 +783,11 @@ class ArmPushController(ManagedCellNode):
 
     def _tell(self, report: PushReport) -> None:
         self._last_report = report
-        self._report.publish(
-            status_to_message(
-                'push', report.reason or 'The push came to its end.', report_values(report)
-            )
-        )
+        reason = report.reason or 'The push came to its end.'
+        if self._forbidden == SHUT_DOWN:
+            # Also where the tool was on its way up for another reason: it is told last.
+            reason = SHUT_DOWN
+        self._report.publish(status_to_message('push', reason, report_values(report)))
 
     # -- what is told ---------------------------------------------------------------------------
 

@@ -896,7 +896,7 @@ class ExperimentOrchestrator(CellNode):
     def _on_push_report(self, message: Any) -> None:
         self._push_report = message
         if message.message == SHUT_DOWN and self._experiment is not None:
-            self._experiment.forbidden(SHUT_DOWN, time.monotonic())
+            self._experiment.forbidden(SHUT_DOWN, time.monotonic(), gone=True)
 
     def _on_emergency_stop(self, message: Any) -> None:
         self._emergency = bool(message.data)

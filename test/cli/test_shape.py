@@ -72,7 +72,7 @@ def _no_nulls_without_reason(document: dict) -> bool:
 
 def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
     document = json.loads((folder / 'shape.json').read_text())
-    assert document['schema'] == 'hapticvision/shape/1'
+    assert document['schema'] == 'hapticvision/shape/2'
     assert document['model'] == 'three-element'
     assert document['which'] == 'before'
     assert document['simulation']['small_displacements'] is True
@@ -144,7 +144,9 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         (CLOUDS, [*TOOL, '--volume-ratio', 'nan'], 'zero or above'),
         (CLOUDS, [*TOOL, '--support-friction', '-0.1'], 'zero or above'),
         (CLOUDS, [*TOOL, '--tool-friction', 'inf'], 'zero or above'),
-        (CLOUDS, [*TOOL, '--density', '-1'], 'zero or above'),
+        (CLOUDS, [*TOOL, '--density', '-1'], 'zero or above, and finite'),
+        (CLOUDS, [*TOOL, '--size', '48x36x20mm', '--cell', '25mm'], 'falls between the nodes'),
+        (CLOUDS, [*TOOL, '--size', '480x360x200mm'], 'nodes, more than 250000'),
         (CLOUDS, [*TOOL, '--which', 'after'], "has no model 'after'"),
         (CLOUDS, [*TOOL, '--cell', '0.01mm'], 'nodes'),
         (CLOUDS, [*TOOL, '--contact', '0.5', '0.5'], 'does not meet the body'),

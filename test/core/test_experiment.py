@@ -561,6 +561,28 @@ def test_nothing_moves_any_more_once_somebody_has_forbidden_it(step):
     assert ('left low' in experiment.reason) == (step in (Step.PUSH, Step.STOP))
 
 
+@pytest.mark.parametrize(
+    'step', [Step.BRING_UP, Step.TARE, Step.RECORD, Step.START, Step.PUSH, Step.STOP, Step.DISABLE]
+)
+def test_a_controller_that_was_shut_down_is_not_waited_for(step):
+    experiment = begun()
+    push(experiment)
+    experiment.tick(1.0)
+    if step is Step.DISABLE:
+        experiment.failed('no disk', 1.1)
+    else:
+        advance(experiment, Step.PUSH if step is Step.STOP else step, 1.0)
+    if step is Step.STOP:
+        experiment.lost('silent', 1.1)
+    assert experiment.step is step
+    experiment.forbidden('The controller was shut down.', 1.2, gone=True)
+    if step in (Step.RECORD, Step.START, Step.PUSH, Step.STOP):
+        assert experiment.step is Step.FINISH
+        experiment.recorded('/bags/b', (), 1.3)
+    assert experiment.step is Step.END
+    assert experiment.status is GoalStatus.ABORTED
+
+
 def test_a_stop_while_a_bag_is_being_closed_keeps_the_trial():
     experiment = begun()
     advance(experiment, Step.PUSH)

@@ -434,12 +434,9 @@ def test_a_push_that_was_left_to_itself_is_told_to_be_over_also_where_the_tool_i
     until(lambda: not list(notes.iterdir()), 'the end of what was left to do')
 
 
-def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_cell, probe, until):
-    controller = start_node(
-        'arm_push_controller',
-        {'simulated_world_port': world.port, **QUICK_PUSH, 'autostart': False, 'hold_time': 60.0},
-    )
-    phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+@pytest.fixture
+def change(probe, until):
+    """Ask the controller for a transition; return whether it was made."""
 
     def change(transition):
         request = ChangeState.Request()
@@ -451,6 +448,17 @@ def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_ce
         probe.node.destroy_client(states)
         return future.result().success
 
+    return change
+
+
+def test_the_managed_node_moves_nothing_unless_active(
+    start_node, world, load_cell, probe, until, change
+):
+    controller = start_node(
+        'arm_push_controller',
+        {'simulated_world_port': world.port, **QUICK_PUSH, 'autostart': False, 'hold_time': 60.0},
+    )
+    phases, tool = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
     assert change(Transition.TRANSITION_CONFIGURE)
     refused = probe.call(ENABLE, SetBool.Request(data=True))
     assert not refused.success and 'not active' in refused.message
@@ -464,10 +472,26 @@ def test_the_managed_node_moves_nothing_unless_active(start_node, world, load_ce
     assert tool[-1].data > low + 0.009
     until(lambda: change(Transition.TRANSITION_CLEANUP), 'the cleaning up')
     assert change(Transition.TRANSITION_CONFIGURE) and change(Transition.TRANSITION_ACTIVATE)
-    reports = probe.listen(PUSH_REPORT)
-    until(lambda: probe.node.count_publishers(PUSH_REPORT.name), 'whoever reports')
+    assert controller.stop() == 0
+    assert 'Traceback' not in controller.output
+
+
+@pytest.mark.parametrize('moving', [False, True], ids=['at rest', 'on its way up'])
+def test_a_shutdown_is_the_last_that_is_told(
+    start_node, world, load_cell, probe, until, change, moving
+):
+    controller = start_node(
+        'arm_push_controller',
+        {'simulated_world_port': world.port, **QUICK_PUSH, 'hold_time': 60.0},
+    )
+    phases, reports = probe.listen(PHASE), probe.listen(PUSH_REPORT)
+    probe.start_push()
+    until(lambda: 'hold' in texts(phases), 'the hold')
+    assert probe.call(STOP, Trigger.Request()).success
+    if not moving:
+        until(lambda: reports, 'the end of the push')
+        assert reports[-1].message == 'A stop was requested.'
     change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert controller.wait() == 0
-    until(lambda: reports, 'that it was shut down')
-    assert reports[-1].message == SHUT_DOWN
+    until(lambda: reports and reports[-1].message == SHUT_DOWN, 'that it was shut down')
     assert 'Traceback' not in controller.output

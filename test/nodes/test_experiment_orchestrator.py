@@ -507,8 +507,8 @@ def test_a_controller_that_was_shut_down_between_two_pushes_is_not_allowed_again
     experiment = came_to(Step.BRING_UP)
     monkeypatch.setattr(node, '_experiment', experiment)
     node._on_push_report(DiagnosticStatus(message=told))
-    assert (experiment.step is Step.DISABLE) == ends
-    assert experiment.status.terminal is False
+    assert (experiment.step is Step.END) == ends
+    assert experiment.status.terminal is ends
     monkeypatch.setattr(node, '_experiment', None)
 
 

@@ -16,11 +16,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+import math
 from typing import Final
 
 from hapticvision_ros.core.body.lattice import BoolArray, Lattice
 from hapticvision_ros.core.body.links import EFFECTS, Gauge, Geometry, link_law, LinkLaw, scaled
-from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
+from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import InputError
@@ -34,6 +35,8 @@ _ALIKE: Final = 5e-4
 _SPRINGS: Final = LinkLaw(1e3, 0.0, 1e15)
 _DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
 _STEPS_OF_A_PUSH: Final = 16
+_DOWN: Final = 0.99
+"""Share of the depth at which a push is over."""
 _FARTHEST: Final = 0.5
 """Largest change of a logarithm in a round."""
 
@@ -102,7 +105,7 @@ def geometry(
     Return what a push does to the force of a body by the change of its shape alone.
 
     A body of springs and one of dashpots are pressed at constant speed, with the links' directions
-    as they are and as they were at rest.
+    as they are and as they were at rest. Friction that can be overcome counts as none.
 
     Parameters
     ----------
@@ -116,15 +119,24 @@ def geometry(
     Returns
     -------
     Geometry or None
-        None for a body that does not bear this push.
+        None for a body of which one of these does not bear the push, and under a sphere: its
+        nodes come to the tool one by one, at other depths in each of these runs.
 
     """
-    around = replace(surroundings or Surroundings(), density=0.0)
+    if tool.sphere:
+        return None
+    around = surroundings or Surroundings()
+    around = replace(
+        around,
+        tool=_without_friction(around.tool),
+        support=_without_friction(around.support),
+        density=0.0,
+    )
     top = Pressed(lattice, _SPRINGS, tool, around).meets()
     push = ToolMotion(np.array([0.0, 1.0]), np.array([top, top - depth]))
     even = 1.0 / _STEPS_OF_A_PUSH
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
-    middle = even * (np.arange(_STEPS_OF_A_PUSH) + 0.5)
+    middle = depth * even * (np.arange(_STEPS_OF_A_PUSH) + 0.5)
     ratios = []
     for law in (_SPRINGS, _DASHPOTS):
         forces = []
@@ -135,16 +147,21 @@ def geometry(
                 )
             except InputError:
                 return None
-            forces.append(np.interp(middle, 0.5 * (run.t[1:] + run.t[:-1]), run.force))
+            # Where the surface is not level, the tool has gone farther than what it touches.
+            forces.append(np.interp(middle, 0.5 * (run.height[1:] + run.height[:-1]), run.force))
         true, linear = forces
         if not (true > 0.0).all() or not (linear > 0.0).all():
             return None
         ratios.append(true / linear)
-    at = np.array([0.0, *middle, 1.0])
+    at = np.array([0.0, *middle, depth])
     springs, dashpots = (
         np.array([1.0, *one, max(1.5 * one[-1] - 0.5 * one[-2], 0.5 * one[-1])]) for one in ratios
     )
-    return Geometry(depth * at, springs, dashpots, lasting)
+    return Geometry(at, springs, dashpots, lasting)
+
+
+def _without_friction(touch: Touch) -> Touch:
+    return touch if math.isinf(touch.friction) else replace(touch, friction=0.0)
 
 
 def calibrate(
@@ -163,9 +180,11 @@ def calibrate(
     """
     Return links for which the body gives force and height of the identified model.
 
-    Each round simulates the trial, tells from what came out how far the model's parameters have
-    moved (one Gauss-Newton step of the fit), and takes the numbers of the links back by that; how
-    these follow each other is learnt on the way (Broyden). A round that does worse than the best
+    With large displacements, first what geometry alone does to the force is measured (`geometry`,
+    four short runs) and taken out of the links. Each round then simulates the trial, tells from
+    what came out how far the model's parameters have moved (one step of the fit, by Levenberg's
+    method), and takes the numbers of the links back by that; how these follow each other is learnt
+    on the way (Broyden). A round that does worse than the best
     so far is taken back by half: the best is the one whose force and height are nearest to the
     model's in the mean square, or where a fit would change nothing any more. Push, hold and
     recovery weigh alike.
@@ -209,7 +228,9 @@ def calibrate(
     measure = gauge(lattice, tool, surroundings, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
     if not (surroundings or Surroundings()).small:
-        lasting = float(motion.t[np.argmin(motion.height)] - motion.t[0])
+        # A recorded tool is not quite still in the hold.
+        low = top - motion.height >= _DOWN * deepest
+        lasting = float(motion.t[np.argmax(low)] - motion.t[0])
         known = geometry(lattice, tool, deepest, surroundings, lasting=lasting)
         law = replace(law, geometry=known)
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
@@ -325,7 +346,7 @@ def _off(
     model: Model, target: FloatArray, used: BoolArray, misses: _Misses
 ) -> tuple[FloatArray, float]:
     """
-    Return by how much a fit to a run would change the logarithms of the used parameters.
+    Return by how much a step of a fit to a run changes the logarithms of the used parameters.
 
     Beside it stands the norm of what separates run and model. Where the body cannot follow the
     model, the largest change tells little of it: parameters that make up for each other move far

@@ -250,7 +250,7 @@ class Contact:
         bearable = np.maximum(press, 0.0) * ~leaves
         most = float(bearable.max(initial=0.0))
         turn = float(np.abs(bearable - self._press[nodes]).max(initial=0.0))
-        self.unsettled = turn / max(most, slack) if self.slides else 0.0
+        self.unsettled = turn / max(most, slack, 1e-300) if self.slides else 0.0
         self._press[:] = 0.0
         self._press[nodes] = bearable
         return changed

@@ -139,7 +139,7 @@ def _general(stretch, z, z_max, q):  # type: ignore[no-untyped-def]
         else:
             low = u
         change = -miss / ahead
-        if abs(change) <= _TOLERANCE * size:
+        if abs(miss) <= _TOLERANCE * size:
             # What this leaves is of second order in it.
             force += slope * change
             u += change

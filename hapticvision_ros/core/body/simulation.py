@@ -126,7 +126,8 @@ class BodyRun:
     work : ndarray, shape (n + 1,)
         What the tool has done so far [J].
     stored : ndarray, shape (n + 1,)
-        What springs, cells and weight hold of it [J].
+        What springs, cells and weight hold of it [J]; not exact where links change with the depth
+        (`LinkLaw.geometry`), as their springs have no potential.
     frame_t : ndarray, shape (f,)
         Times of the frames [s].
     frames : ndarray, shape (f, nodes, 3)
@@ -152,7 +153,7 @@ class BodyRun:
 
     @property
     def dissipated(self) -> FloatArray:
-        """Return what has become heat, shape (n + 1,) [J]."""
+        """Return what has become heat, shape (n + 1,) [J]; as exact as `stored` is."""
         return self.work - self.stored
 
     def surface(self, frame: int) -> tuple[FloatArray, IndexArray]:
@@ -633,9 +634,14 @@ class Pressed:
         radius = math.sqrt(tool.radius * depth) if tool.sphere else tool.radius
         radius = max(radius, 0.75 * self.lattice.pitch)
         top = self.lattice.surface[0]
-        top = top[np.hypot(points[top, 0] - tool.x, points[top, 1] - tool.y) <= radius * _ON]
+        aside = np.hypot(points[top, 0] - tool.x, points[top, 1] - tool.y)
+        top, aside = top[aside <= radius * _ON], aside[aside <= radius * _ON]
         if not top.size:
             raise InputError('the tool does not meet the body: its axis is beside it')
+        if aside.min() > tool.radius * _ON:
+            raise InputError(
+                f'the tool falls between the nodes: choose cells smaller than {tool.radius:g} m'
+            )
         # Only the uppermost of a column: a step in the surface has two.
         columns = self.lattice.places[top]
         order = np.lexsort((-columns[:, 2], columns[:, 1], columns[:, 0]))

@@ -24,7 +24,7 @@ from hapticvision_ros.core.surface.compare import Comparison
 from hapticvision_ros.core.surface.deformation import Pair
 from hapticvision_ros.core.surface.study import ShapeStudy
 
-SCHEMA: Final = 'hapticvision/shape/1'
+SCHEMA: Final = 'hapticvision/shape/2'
 
 PAIRS: Final = (
     ('residual', 'm', 'residual deformation'),
@@ -85,6 +85,7 @@ def shape_document(
             'support_friction': _friction(surroundings.support),
             'density_kg_m3': surroundings.density,
             'small_displacements': surroundings.small,
+            'geometry_taken_out': study.calibration.law.geometry is not None,
             'calibration_rounds': study.calibration.rounds,
             'force_misfit': study.calibration.force_misfit,
             'height_misfit': study.calibration.height_misfit,

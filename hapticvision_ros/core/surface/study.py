@@ -62,7 +62,11 @@ _UPRIGHT: Final = 0.5
 _LEAST_OF_SIDES: Final = 30
 _WELL_SEEN: Final = 0.8
 """Less than this share of the top view is worth a warning."""
-_WELL_CALIBRATED: Final = 0.02
+_TOO_SOFT: Final = 0.5
+"""Share of the force that geometry may leave of a deep push, for it to be taken out."""
+_MOST_NODES: Final = 250_000
+_FEW_NODES: Final = 9
+_WELL_CALIBRATED: Final = 0.01
 """From this share of force or depth on the body's own error is worth a warning."""
 _TOP_VIEW_NOTE: Final = (
     "the tool's axis was taken where the mass centre of the object's top view is, since no circle "
@@ -104,7 +108,7 @@ class ShapeSettings:
     contact: tuple[float, float] | None = None
     sphere: bool = False
     surroundings: Surroundings | None = None
-    rounds: int = 6
+    rounds: int = 8
     pictures: int = 40
 
 
@@ -213,6 +217,11 @@ def study_shape(
             clouds, trial.tool_height, phases, settings.cloud, contact=settings.contact
         )
     lattice = _lattice(observed, settings)
+    if len(lattice.points) > _MOST_NODES:
+        raise InputError(
+            f'the body has {len(lattice.points)} nodes, more than {_MOST_NODES}: check the size '
+            'of the object, or choose larger cells'
+        )
     nodes, triangles = lattice.surface
     rest = Mesh(lattice.points[nodes], triangles)
     tool = Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere)
@@ -256,6 +265,12 @@ def study_shape(
                 'so that it divides the size'
             )
         warnings += _other_size(observed, settings.size)
+    under = len(Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings).face(0.0))
+    if not settings.sphere and under < _FEW_NODES:
+        warnings.append(
+            f"the tool's face has only {under} nodes in cells of {1e3 * lattice.pitch:.3g} mm: "
+            'choose a smaller --cell'
+        )
     if surroundings.density > 0.0 and 'yield_force' not in model.effects:
         warnings.append(
             'a body with weight whose model has no yield_force sinks for as long as it stands: '
@@ -265,7 +280,7 @@ def study_shape(
         warnings.append(
             f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '
             f'largest force and {found.height_misfit:.2g} of the depth: the distances hold that '
-            'as well'
+            f'as well{_cure(settings, model, found)}'
         )
     return ShapeStudy(
         phases=phases,
@@ -292,6 +307,21 @@ def study_shape(
         ),
         warnings=tuple(warnings),
     )
+
+
+def _cure(settings: ShapeSettings, model: Model, found: Calibration) -> str:
+    """Return what may bring a body nearer to its model, to go on a sentence with."""
+    surroundings = settings.surroundings or Surroundings()
+    if settings.sphere:
+        if 'contact_growth' not in model.effects:
+            return '; fit a model with contact_growth, as the contact of a sphere grows'
+        return '; choose a smaller --cell, as the contact of a sphere grows node by node'
+    known = found.law.geometry
+    if surroundings.small:
+        return ''
+    if known is None or min(known.springs.min(), known.dashpots.min()) < _TOO_SOFT:
+        return '; its geometry changes too much for links to make it good: try --small'
+    return ''
 
 
 def _other_size(observed: Observation, size: tuple[float, float, float]) -> list[str]:

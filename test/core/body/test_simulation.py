@@ -282,6 +282,17 @@ def test_a_body_that_is_pressed_deep_answers_as_identified(effects: tuple[str, .
     assert found.run.volume.min() > 0.99 * found.run.volume[0]
 
 
+def test_numbers_that_make_up_for_each_other_are_not_moved_far_for_nothing() -> None:
+    # Without damping, damage and K1 took each other's place: 2.1 % of force, 1.5 % of depth.
+    depth = 0.007
+    trial = ToolMotion.trial(0.04, depth=depth, push_speed=1.3e-3, hold=60.0, recovery=64.6)
+    block = box((0.085, 0.060, 0.040), 0.005)
+    given = IDENTIFIED | {'D': 0.1}
+    found = calibrate(block, Model(('damage',)), given, DISC, trial, rounds=3)
+    assert found.force_misfit < 0.005
+    assert found.height_misfit < 0.002
+
+
 def test_geometry_begins_as_a_slight_push_and_tells_springs_from_dashpots() -> None:
     found = geometry(BLOCK, DISC, 0.010)
     assert found is not None
@@ -304,18 +315,48 @@ def test_geometry_begins_as_a_slight_push_and_tells_springs_from_dashpots() -> N
         assert series == pytest.approx(stiffness * factor, rel=1e-3)
 
 
-def test_a_push_that_is_not_borne_has_no_geometry() -> None:
+def test_a_push_that_is_not_borne_has_no_geometry_nor_has_a_sphere() -> None:
     assert geometry(BLOCK, DISC, 0.0395, Surroundings(volume_ratio=0.0)) is None
+    assert geometry(BLOCK, replace(DISC, sphere=True), 0.004) is None
+
+
+def test_friction_that_can_be_overcome_has_the_geometry_of_none() -> None:
+    rough, smooth = (
+        geometry(BLOCK, DISC, 0.006, Surroundings(Touch(mu), Touch(mu, lets_go=False)))
+        for mu in (0.3, 0.0)
+    )
+    assert rough is not None
+    assert smooth is not None
+    np.testing.assert_array_equal(rough.dashpots, smooth.dashpots)
+
+
+def test_a_push_lasts_until_the_tool_is_nearly_down_and_not_until_noise_is_lowest() -> None:
+    t = np.linspace(0.0, 12.0, 121)
+    height = 0.04 - 0.002 * np.minimum(t, 2.0)
+    height[t > 2.0] -= 1e-6 * np.random.default_rng(1).standard_normal(np.count_nonzero(t > 2.0))
+    noisy = ToolMotion(t, height)
+    found = calibrate(CUBE, Model(), IDENTIFIED, DISC, noisy, rounds=1, accuracy=QUICK)
+    assert found.law.geometry is not None
+    assert found.law.geometry.lasting == pytest.approx(2.0, abs=0.11)
+
+
+@pytest.mark.parametrize('sphere', [False, True])
+def test_friction_bears_a_tool_that_does_not_touch_yet(sphere: bool) -> None:
+    motion = ToolMotion(np.array([0.0, 0.5, 1.0]), np.array([0.0405, 0.04, 0.038]))
+    tool = Tool(0.0126, 0.0, 0.0, sphere=sphere)
+    around = Surroundings(Touch(0.3), Touch(0.3, lets_go=False))
+    run = simulate(CUBE, LAW, tool, motion, around, accuracy=QUICK)
+    assert run.force[-1] > 0.0
 
 
 def test_a_calibration_keeps_the_round_whose_force_and_height_are_nearest() -> None:
-    # So deep a push moves the damage by geometry alone, so no round brings all parameters back:
-    # the one with the smallest largest change was 15 % of the force and 20 % of the depth off.
+    # Damage and K1 make up for each other, so no round brings all parameters back: the one with
+    # the smallest largest change is 0.7 % of the force and 0.2 % of the depth off.
     deep = ToolMotion.trial(0.04, depth=0.008, push_speed=2e-3, hold=20.0, recovery=20.0)
     given = IDENTIFIED | {'D': 0.1}
     found = calibrate(BLOCK, Model(('damage',)), given, DISC, deep, rounds=4, accuracy=QUICK)
-    assert found.force_misfit < 0.05
-    assert found.height_misfit < 0.01
+    assert found.force_misfit < 0.003
+    assert found.height_misfit < 0.001
 
 
 @pytest.mark.parametrize(
