@@ -193,10 +193,12 @@ def match(pitch: float, depth: float, rounds: int) -> None:
             )
 
 
-def deep(pitch: float, depths: list[float], rounds: int, *, calibrated: bool) -> None:
+def deep(
+    pitch: float, depths: list[float], rounds: int, ratio: float, *, calibrated: bool
+) -> None:
     """Print what a deep push does to a body of springs, to one of dashpots, and to the match."""
-    body = box(SIZE, pitch)
-    alone = geometry(body, TOOL, max(depths))
+    body, around = box(SIZE, pitch), Surroundings(volume_ratio=ratio)
+    alone = geometry(body, TOOL, max(depths), around)
     assert alone is not None
     chosen = [Model(effects) for effects in ((), ('yield_force',), EFFECTS[-1])]
     print('force %, height % of', ' | '.join(model.name for model in chosen))
@@ -207,9 +209,28 @@ def deep(pitch: float, depths: list[float], rounds: int, *, calibrated: bool) ->
             f'{np.interp(depth, alone.depth, one):.3f}' for one in (alone.springs, alone.dashpots)
         ]
         for model in chosen if calibrated else []:
-            found = calibrate(body, model, parameters(depth), TOOL, motion(depth), rounds=rounds)
+            found = calibrate(
+                body, model, parameters(depth), TOOL, motion(depth), around, rounds=rounds
+            )
             line += [f'{100 * found.force_misfit:.2f}, {100 * found.height_misfit:.2f}']
         print(' | '.join(line), flush=True)
+
+
+def ball(pitches: list[float], depth: float, radii: list[float], rounds: int) -> None:
+    """Print how well bodies under a ball, whose contact grows by nodes, agree with the model."""
+    model = Model(('contact_growth',))
+    given = parameters(depth) | {'m': 0.5}
+    print('radius mm | cell mm | nodes that touch | force % | height % | m that a fit gives')
+    for radius in radii:
+        for pitch in pitches:
+            tool = Tool(radius, 0.0, 0.0, sphere=True)
+            found = calibrate(box(SIZE, pitch), model, given, tool, motion(depth), rounds=rounds)
+            print(
+                f'{1e3 * radius:g} | {1e3 * pitch:.3g} | {found.run.touching.max()} | '
+                f'{100 * found.force_misfit:.2f} | {100 * found.height_misfit:.2f} | '
+                f'{found.recovered["m"]:.3f}',
+                flush=True,
+            )
 
 
 def edge(pitches: list[float], depth: float) -> None:
@@ -274,13 +295,15 @@ def main() -> int:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        'what', choices=('accuracy', 'growth', 'match', 'geometry', 'edge', 'explicit')
+        'what', choices=('accuracy', 'growth', 'match', 'geometry', 'ball', 'edge', 'explicit')
     )
     parser.add_argument('--pitch-mm', type=float, nargs='+', default=[5.0])
     parser.add_argument('--depth-mm', type=float, nargs='+', default=[10.0])
     parser.add_argument('--rounds', type=int, default=6)
     parser.add_argument('--skip', type=int, default=0, help='effects to leave out')
     parser.add_argument('--small', action='store_true', help='keep the directions of the links')
+    parser.add_argument('--radius-mm', type=float, nargs='+', default=[12.6], help='of a ball')
+    parser.add_argument('--volume-ratio', type=float, default=14.0, help='of the geometry')
     parser.add_argument('--bare', action='store_true', help='of the geometry only, uncalibrated')
     arguments = parser.parse_args()
     depths = [1e-3 * d for d in arguments.depth_mm]
@@ -291,7 +314,11 @@ def main() -> int:
     elif arguments.what == 'growth':
         growth(pitches, depth)
     elif arguments.what == 'geometry':
-        deep(pitches[0], depths, arguments.rounds, calibrated=not arguments.bare)
+        ratio, calibrated = arguments.volume_ratio, not arguments.bare
+        deep(pitches[0], depths, arguments.rounds, ratio, calibrated=calibrated)
+    elif arguments.what == 'ball':
+        radii = [1e-3 * r for r in arguments.radius_mm]
+        ball(pitches, depth, radii, arguments.rounds)
     elif arguments.what == 'edge':
         edge(pitches, depth)
     elif arguments.what == 'explicit':

@@ -17,8 +17,10 @@ Bench: bouncing and residual deformation over speeds and depths, from clouds, as
 
 The body is the deforming one of the simulated cell, of a dough that yields. Each push is a bag;
 `hapticvision fit` finds what the three elements lack, and `hapticvision shape` simulates each push
-before and after. True is what the world's body has at the end. The table is that of doc/shape.md:
-``OMP_NUM_THREADS=1 python bench/bench_shape_grid.py --out doc/shape.md`` (5 min).
+before and after; beside them stands the model with the yield force that this world has, fitted to
+the same bags with that name given away. True is what the world's body has at the end. The table
+is that of doc/shape.md: ``OMP_NUM_THREADS=1 python bench/bench_shape_grid.py --out doc/shape.md``
+(6 min).
 """
 
 import argparse
@@ -43,14 +45,15 @@ SPEEDS = (0.002, 0.005, 0.010)
 DEPTHS = (0.002, 0.003, 0.004)
 DOUGH = replace(MATERIAL, yield_force=2.0)
 RADIUS = 0.008
+TOLD = 'three-element+yield_force'
 
 
 def shapes(result: Path, bags: list[str], which: str, out: Path) -> list[dict[str, Any]]:
     """Return what `hapticvision shape` writes of each bag."""
     command = ['shape', str(result), *bags, '--tool-radius', f'{RADIUS}', '--which', which]
     command += ['--size', '60x40x20mm', '--cell', '4mm', '--out', str(out)]
-    # What is known of this cell, and the force does not tell.
-    command += ['--volume-ratio', '1', '--tool-friction', '0']
+    # What is known of this object, and the force does not tell.
+    command += ['--volume-ratio', '1']
     if hapticvision(command) != 0:
         raise SystemExit('a shape could not be simulated')
     return [json.loads((out / Path(bag).name / 'shape.json').read_text()) for bag in bags]
@@ -80,12 +83,21 @@ def main() -> None:
             recover=6.0,
         )
         true = [truth(world)[0] for world in Kept.made]
-        fit = folder / 'fit'
+        fit, told = folder / 'fit', folder / 'told'
         hapticvision(['fit', *bags, '--out', str(fit)])
+        hapticvision(['fit', *bags, '--model', TOLD, '--out', str(told)])
         result = json.loads((fit / 'result.json').read_text())
-        kinds = ['before', *(['after'] if result.get('after') else [])]
+        models = {
+            kind: result[kind]['model'] for kind in ('before', 'after') if result.get(kind)
+        } | {'told': TOLD}
+        kinds = list(models)
         shown = bags[: len(pushes)]
-        found = {kind: shapes(fit / 'result.json', shown, kind, folder / kind) for kind in kinds}
+        found = {
+            kind: shapes(fit / 'result.json', shown, kind, folder / kind)
+            for kind in kinds
+            if kind != 'told'
+        }
+        found['told'] = shapes(told / 'result.json', shown, 'after', folder / 'as_told')
     lines = [
         '| push | of the height | true | measured | '
         + ' | '.join(f'simulated, {kind}' for kind in kinds)
@@ -115,12 +127,11 @@ def main() -> None:
             rms.append(f'{shape["after"][-1]["rms_m"] / MM:.3f}')
         cells.append(f'{", ".join(rms)} ({one["after"][-1]["noise_m"] / MM:.3f})')
         lines.append(f'| {" | ".join(cells)} |')
-    models = {kind: result[kind]['model'] for kind in kinds}
-    told = '; '.join(
+    errors = '; '.join(
         f'{kind} `{models[kind]}`: {np.sqrt(np.mean(np.square(off[kind]))):.3f} mm'
         for kind in kinds
     )
-    text = '\n'.join([*lines, '', f'Residual simulated less measured, rms: {told}.', ''])
+    text = '\n'.join([*lines, '', f'Residual simulated less measured, rms: {errors}.', ''])
     print(text)
     if args.out is not None:
         renew(args.out, BEGIN, END, text)
