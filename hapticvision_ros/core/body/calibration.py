@@ -208,7 +208,8 @@ def calibrate(
     Raises
     ------
     InputError
-        If the model has an effect of the object that no link can carry, or `simulate` does.
+        If the model has an effect of the object that no link can carry, or a number that no link
+        can have, or `simulate` does.
 
     """
     effects = (*EFFECTS, _OF_A_SPHERE) if tool.sphere else EFFECTS
@@ -221,6 +222,12 @@ def calibrate(
         )
     carried = Model(tuple(name for name in model.effects if name in effects))
     wanted = {name: parameters[name] for name in carried.names}
+    bad = next((name for name, value in wanted.items() if not 0.0 <= value < math.inf), None)
+    if bad is not None or min(wanted['K1'], wanted['C2']) <= 0.0:
+        bad = bad or ('K1' if wanted['K1'] <= 0.0 else 'C2')
+        raise InputError(
+            f'{bad} of the model is {wanted[bad]:g}, which no body can have: fit it again'
+        )
     target = np.array(list(wanted.values()))
     top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).meets()
     deepest = top - float(motion.height.min())

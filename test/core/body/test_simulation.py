@@ -282,6 +282,12 @@ def test_a_body_that_is_pressed_deep_answers_as_identified(effects: tuple[str, .
     assert found.run.volume.min() > 0.99 * found.run.volume[0]
 
 
+@pytest.mark.parametrize(('name', 'value'), [('K1', -5.0), ('C2', 0.0), ('C1', math.nan)])
+def test_numbers_that_no_body_has_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f'{name} of the model is .*fit it again'):
+        calibrate(BLOCK, Model(), IDENTIFIED | {name: value}, DISC, TRIAL)
+
+
 def test_numbers_that_make_up_for_each_other_are_not_moved_far_for_nothing() -> None:
     # Without damping, damage and K1 took each other's place: 2.1 % of force, 1.5 % of depth.
     depth = 0.007
