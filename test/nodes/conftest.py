@@ -19,6 +19,7 @@ Each test process takes a ROS domain of its own, so that several runs do not hea
 """
 
 from collections.abc import Callable, Iterator, Mapping
+import contextlib
 import os
 from pathlib import Path
 import signal
@@ -158,6 +159,13 @@ class Probe:
             ]
         )
         future = client.call_async(request)
+        for _ in range(3):
+            # A client is ready once it has found the server, which may not have found it yet.
+            with contextlib.suppress(pytest.fail.Exception):
+                wait_until(future.done, f'the parameters of {node_name}', 15.0)
+                break
+            client.remove_pending_request(future)
+            future = client.call_async(request)
         wait_until(future.done, f'the parameters of {node_name}')
         results = future.result().results
         self.node.destroy_client(client)

@@ -14,6 +14,7 @@
 
 """The arm push controller as a process, with load cell driver, on the simulated cell."""
 
+import contextlib
 from dataclasses import replace
 import math
 import os
@@ -441,12 +442,17 @@ def change(probe, until):
     def change(transition):
         request = ChangeState.Request()
         request.transition.id = transition
-        states = probe.node.create_client(ChangeState, 'arm_push_controller/change_state')
-        until(states.service_is_ready, 'the lifecycle services')
-        future = states.call_async(request)
-        until(future.done, 'the transition')
-        probe.node.destroy_client(states)
-        return future.result().success
+        for _ in range(4):
+            states = probe.node.create_client(ChangeState, 'arm_push_controller/change_state')
+            until(states.service_is_ready, 'the lifecycle services')
+            future = states.call_async(request)
+            # A client is ready once it has found the server, which may not have found it yet.
+            with contextlib.suppress(pytest.fail.Exception):
+                until(future.done, 'the transition', 15.0)
+            probe.node.destroy_client(states)
+            if future.done():
+                return future.result().success
+        pytest.fail('the controller does not change its state')
 
     return change
 
