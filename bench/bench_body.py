@@ -93,7 +93,11 @@ def parameters(depth: float) -> dict[str, float]:
 def law(body: Lattice, model: Model, depth: float, around: Surroundings) -> LinkLaw:
     """Return the links by the scaling law."""
     given = {name: parameters(depth)[name] for name in model.names}
-    return link_law(given, gauge(body, TOOL, around), reference_depth=depth)
+    found = link_law(given, gauge(body, TOOL, around), reference_depth=depth)
+    if around.small:
+        return found
+    pressed = depth / 1.3e-3
+    return replace(found, geometry=geometry(body, TOOL, depth, around, lasting=pressed))
 
 
 def errors(run: BodyRun, exact: BodyRun) -> tuple[float, float, float, float]:

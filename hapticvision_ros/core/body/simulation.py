@@ -278,6 +278,7 @@ class Pressed:
             lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
         )
         self.loose = surroundings.support.lets_go or surroundings.support.friction < math.inf
+        self._under = self.face(0.0) if law.geometry is not None else np.zeros(0, dtype=np.intp)
         self.newton = 0
         self.cycles = 0
         self.largest = 0.0
@@ -305,7 +306,7 @@ class Pressed:
         """Return how deep the surface under the tool is about the middle of a step [m]."""
         if self.law.geometry is None:
             return 0.0
-        face = self.face(0.0)
+        face = self._under
         depth = float((self.lattice.points[face, 2] - self.x0[2, self.place[face]]).mean())
         if speed is not None:
             return depth - 0.5 * h * float(speed[face, 2].mean())

@@ -227,7 +227,8 @@ def study_shape(
     tool = Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere)
     surroundings = settings.surroundings or Surroundings()
     # The surface is not just as high as the arm felt it: what counts is the way beyond the touch.
-    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings).meets()
+    body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings)
+    top, under = body.meets(), len(body.face(0.0))
     motion = _motion(trial, phases, top)
     at, shots = _times(observed, phases, settings.pictures)
     tell(f'simulating the body with {len(lattice.points)} nodes')
@@ -265,7 +266,6 @@ def study_shape(
                 'so that it divides the size'
             )
         warnings += _other_size(observed, settings.size)
-    under = len(Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings).face(0.0))
     if not settings.sphere and under < _FEW_NODES:
         warnings.append(
             f"the tool's face has only {under} nodes in cells of {1e3 * lattice.pitch:.3g} mm: "
