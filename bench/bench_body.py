@@ -96,8 +96,7 @@ def law(body: Lattice, model: Model, depth: float, around: Surroundings) -> Link
     found = link_law(given, gauge(body, TOOL, around), reference_depth=depth)
     if around.small:
         return found
-    pressed = depth / 1.3e-3
-    return replace(found, geometry=geometry(body, TOOL, depth, around, lasting=pressed))
+    return replace(found, geometry=geometry(body, TOOL, depth, around))
 
 
 def errors(run: BodyRun, exact: BodyRun) -> tuple[float, float, float, float]:
@@ -200,18 +199,16 @@ def match(pitch: float, depth: float, rounds: int) -> None:
 def deep(
     pitch: float, depths: list[float], rounds: int, ratio: float, *, calibrated: bool
 ) -> None:
-    """Print what a deep push does to a body of springs, to one of dashpots, and to the match."""
+    """Print what a deep push does to the force of a body of dashpots, and to the match."""
     body, around = box(SIZE, pitch), Surroundings(volume_ratio=ratio)
     alone = geometry(body, TOOL, max(depths), around)
     assert alone is not None
     chosen = [Model(effects) for effects in ((), ('yield_force',), EFFECTS[-1])]
     print('force %, height % of', ' | '.join(model.name for model in chosen))
-    print('depth mm | of the height % | springs | dashpots')
+    print('depth mm | of the height % | dashpots')
     for depth in depths:
         line = [f'{1e3 * depth:g}', f'{100 * depth / SIZE[2]:.1f}']
-        line += [
-            f'{np.interp(depth, alone.depth, one):.3f}' for one in (alone.springs, alone.dashpots)
-        ]
+        line += [f'{np.interp(depth, alone.depth, alone.force) ** -2:.3f}']
         for model in chosen if calibrated else []:
             found = calibrate(
                 body, model, parameters(depth), TOOL, motion(depth), around, rounds=rounds

@@ -30,13 +30,30 @@ import numpy as np
 
 _OF_A_SPHERE: Final = 'contact_growth'
 """An effect of the object that no link carries: under a sphere it makes itself."""
-_ALIKE: Final = 5e-4
-"""Relative difference between identified and fitted that makes none."""
-_SPRINGS: Final = LinkLaw(1e3, 0.0, 1e15)
+_ALIKE: Final = 5e-3
+"""Relative change of numbers that is none."""
 _DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
 _STEPS_OF_A_PUSH: Final = 16
+_STEPS_UNDER_A_SPHERE: Final = 64
+"""There nodes come to the tool one by one."""
 _DOWN: Final = 0.99
 """Share of the depth at which a push is over."""
+_SLIGHT: Final = 0.02
+"""Force over the largest from which on its ratio to the model's tells something."""
+_CLOSE: Final = 3e-3
+"""Largest difference of force and height with which a calibration is content."""
+_SLOW: Final = 0.7
+"""Cost over that of the round before, from which on numbers alone do no more."""
+_STILL: Final = 0.95
+"""The same, from which on nothing does more."""
+_MORE: Final = 4.0
+_LESS: Final = 2.0
+"""By how much more, or less, a step is damped after one that failed, or did not."""
+_MOST: Final = 20.0
+"""Damping with which no further step is tried."""
+_TURN: Final = 0.05
+"""By how much force and stretch are turned against each other for the derivative."""
+_GRID: Final = 256
 _FARTHEST: Final = 0.5
 """Largest change of a logarithm in a round."""
 
@@ -99,13 +116,14 @@ def geometry(
     depth: float,
     surroundings: Surroundings | None = None,
     *,
-    lasting: float = 1.0,
+    growth: float = 0.0,
 ) -> Geometry | None:
     """
-    Return what a push does to the force of a body by the change of its shape alone.
+    Return what makes good what a push does to the force of a body by the change of its shape.
 
-    A body of springs and one of dashpots are pressed at constant speed, with the links' directions
-    as they are and as they were at rest. Friction that can be overcome counts as none.
+    A body of dashpots is pressed at constant speed. Its force tells how fast its links are
+    stretched, on and on: under a flat tool beside that with the links' directions as they were at
+    rest. Friction that can be overcome counts as none.
 
     Parameters
     ----------
@@ -113,18 +131,15 @@ def geometry(
         As in `simulation.simulate`.
     depth : float
         How deep [m].
-    lasting : float
-        How long the push takes for which it is wanted [s].
+    growth : float
+        Under a sphere, the exponent m of the depth with which the force has to grow.
 
     Returns
     -------
     Geometry or None
-        None for a body of which one of these does not bear the push, and under a sphere: its
-        nodes come to the tool one by one, at other depths in each of these runs.
+        None for a body of dashpots that does not bear the push.
 
     """
-    if tool.sphere:
-        return None
     around = surroundings or Surroundings()
     around = replace(
         around,
@@ -132,32 +147,32 @@ def geometry(
         support=_without_friction(around.support),
         density=0.0,
     )
-    top = Pressed(lattice, _SPRINGS, tool, around).meets()
+    top = Pressed(lattice, _DASHPOTS, tool, around).meets()
     push = ToolMotion(np.array([0.0, 1.0]), np.array([top, top - depth]))
-    even = 1.0 / _STEPS_OF_A_PUSH
+    steps = _STEPS_UNDER_A_SPHERE if tool.sphere else _STEPS_OF_A_PUSH
+    even = 1.0 / steps
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
-    middle = depth * even * (np.arange(_STEPS_OF_A_PUSH) + 0.5)
-    ratios = []
-    for law in (_SPRINGS, _DASHPOTS):
-        forces = []
-        for small in (False, True):
-            try:
-                run = simulate(
-                    lattice, law, tool, push, replace(around, small=small), accuracy=accuracy
-                )
-            except InputError:
-                return None
-            # Where the surface is not level, the tool has gone farther than what it touches.
-            forces.append(np.interp(middle, 0.5 * (run.height[1:] + run.height[:-1]), run.force))
-        true, linear = forces
-        if not (true > 0.0).all() or not (linear > 0.0).all():
+    middle = np.asarray(depth * even * (np.arange(steps) + 0.5), dtype=np.float64)
+    forces = []
+    for kinds in (around,) if tool.sphere else (around, replace(around, small=True)):
+        try:
+            run = simulate(lattice, _DASHPOTS, tool, push, kinds, accuracy=accuracy)
+        except InputError:
             return None
-        ratios.append(true / linear)
+        # Where the surface is not level, the tool has gone farther than what it touches.
+        forces.append(np.interp(middle, 0.5 * (run.height[1:] + run.height[:-1]), run.force))
+    if not all((one > 0.0).all() for one in forces):
+        return None
+    if tool.sphere:
+        linear = (middle / depth) ** growth * forces[0][-1]
+        half = np.sqrt(linear / forces[0])
+        lag = np.log(middle / depth)
+        return Geometry(middle, half, half, lag)
+    ratio = forces[0] / forces[1]
+    ratio = np.array([1.0, *ratio, max(1.5 * ratio[-1] - 0.5 * ratio[-2], 0.5 * ratio[-1])])
+    half = 1.0 / np.sqrt(ratio)
     at = np.array([0.0, *middle, depth])
-    springs, dashpots = (
-        np.array([1.0, *one, max(1.5 * one[-1] - 0.5 * one[-2], 0.5 * one[-1])]) for one in ratios
-    )
-    return Geometry(at, springs, dashpots, lasting)
+    return Geometry(at, half, half, (at / depth) ** 2)
 
 
 def _without_friction(touch: Touch) -> Touch:
@@ -180,14 +195,15 @@ def calibrate(
     """
     Return links for which the body gives force and height of the identified model.
 
-    With large displacements, first what geometry alone does to the force is measured (`geometry`,
-    four short runs) and taken out of the links. Each round then simulates the trial, tells from
-    what came out how far the model's parameters have moved (one step of the fit, by Levenberg's
-    method), and takes the numbers of the links back by that; how these follow each other is learnt
-    on the way (Broyden). A round that does worse than the best
-    so far is taken back by half: the best is the one whose force and height are nearest to the
-    model's in the mean square, or where a fit would change nothing any more. Push, hold and
-    recovery weigh alike.
+    With large displacements, and under a sphere, first what geometry alone does to the force is
+    measured (`geometry`, one or two short runs) and taken out of the links. Each round then
+    simulates the trial, tells from what came out how the numbers of the links would bring it
+    nearer to the model (a step by Levenberg's method, with the derivatives of the model), and
+    changes them so. Where that does no more, rounds also take out what the push has left, by a
+    factor of the links' force at each depth, and turn it (`links.Geometry.lag`) as the hold and
+    the recovery ask for. A step from the best round so far that does worse is damped: the best is
+    the one whose force and height are nearest to the model's in the mean square; push, hold and
+    recovery weigh alike. It ends where the largest difference is 0.3 %, or a round does no more.
 
     Parameters
     ----------
@@ -212,6 +228,71 @@ def calibrate(
         can have, or `simulate` does.
 
     """
+    around = surroundings or Surroundings()
+    carried, wanted = _carried(model, parameters, tool)
+    target = np.array(list(wanted.values()))
+    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around).meets()
+    deepest = top - float(motion.height.min())
+    depth = reference_depth or deepest
+    measure = gauge(lattice, tool, around, depth=deepest)
+    law = link_law(wanted, measure, reference_depth=depth)
+    grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
+    growth = [wanted[name] for name in grows]
+    if growth or not (tool.sphere or around.small):
+        known = geometry(lattice, tool, deepest, around, growth=sum(growth))
+        law = replace(law, geometry=known)
+    given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
+    used = np.array([name in given for name in carried.names])
+    names = [name for name in carried.names if name in given]
+    # Under a sphere a model without the growth of its contact is not to be made right by force.
+    learnable = not tool.sphere or bool(grows)
+    damping, learns = 1.0, False
+    best: _Round | None = None
+    done = 0
+    while done < rounds:
+        if best is not None:
+            law = best.changed(names, damping, learns=learns)
+        done += 1
+        try:
+            run = simulate(lattice, law, tool, motion, around, at=at, accuracy=accuracy)
+        except InputError:
+            if best is None:
+                raise
+            damping *= _MORE
+            continue
+        trial = _Driven(run.t, top - run.tool, run.t, depth)
+        pushed = int(np.argmax(run.tool <= top - _DOWN * deepest))
+        misses = _Misses(carried, trial, run, motion.corners, sum(growth))
+        found = _Round(law, run, misses, target, used, pushed)
+        better = best is None or found.cost < best.cost
+        before = math.inf if best is None else best.cost
+        if better:
+            best = found
+            damping = max(damping / _LESS, 1.0)
+        else:
+            damping *= _MORE
+        assert best is not None
+        close = max(best.off) < _CLOSE
+        no_more = better and best.cost > _STILL * before
+        if damping > _MOST or (learns and (close or no_more)):
+            break
+        if not learns:
+            alike = float(np.abs(best.change(damping, learns=False)).max(initial=0.0)) < _ALIKE
+            slow = best.cost > _SLOW * before
+            if (close and (alike or slow)) or (alike and not learnable):
+                break
+            if learnable and not close and (alike or slow or 2 * done >= rounds):
+                damping, learns = 1.0, True
+    if best is None:
+        raise InputError('a calibration has at least one round: ask for one or more')
+    recovered = dict(zip(carried.names, (float(v) for v in best.misses.fit(target)), strict=True))
+    return Calibration(best.law, best.run, recovered, *best.off, done)
+
+
+def _carried(
+    model: Model, parameters: Mapping[str, float], tool: Tool
+) -> tuple[Model, dict[str, float]]:
+    """Return the model of the object alone, and its numbers; refuse what no link can be."""
     effects = (*EFFECTS, _OF_A_SPHERE) if tool.sphere else EFFECTS
     strange = [e.name for e in model.declared if e.kind == 'object' and e.name not in effects]
     if strange:
@@ -228,80 +309,7 @@ def calibrate(
         raise InputError(
             f'{bad} of the model is {wanted[bad]:g}, which no body can have: fit it again'
         )
-    target = np.array(list(wanted.values()))
-    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings or Surroundings()).meets()
-    deepest = top - float(motion.height.min())
-    depth = reference_depth or deepest
-    measure = gauge(lattice, tool, surroundings, depth=deepest)
-    law = link_law(wanted, measure, reference_depth=depth)
-    if not (surroundings or Surroundings()).small:
-        # A recorded tool is not quite still in the hold.
-        low = top - motion.height >= _DOWN * deepest
-        lasting = float(motion.t[np.argmax(low)] - motion.t[0])
-        known = geometry(lattice, tool, deepest, surroundings, lasting=lasting)
-        law = replace(law, geometry=known)
-    grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
-    given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
-    used = np.array([name in given for name in carried.names])
-    names = [name for name in carried.names if name in given]
-    follows = np.eye(len(names))
-    change = np.zeros(len(names))
-    best: _Round | None = None
-    done = 0
-    while done < rounds:
-        done += 1
-        try:
-            run = simulate(lattice, law, tool, motion, surroundings, at=at, accuracy=accuracy)
-        except InputError:
-            if best is None:
-                raise
-            change *= 0.5
-            law = _changed(best.law, names, change)
-            continue
-        trial = _Driven(run.t, top - run.tool, run.t, depth)
-        misses = _Misses(carried, trial, run, motion.corners)
-        off, cost = _off(carried, target, used, misses)
-        if best is not None:
-            # Broyden's update of how the fit follows the links; alike is where it starts.
-            missed = off - best.off - follows @ change
-            follows += np.outer(missed, change) / max(float(change @ change), 1e-300)
-        share = 1.0
-        settled = float(np.abs(off).max(initial=0.0)) < _ALIKE
-        if best is None or settled or cost < best.cost:
-            best = _Round(law, run, trial, off, cost)
-        else:
-            share = 0.5
-        if settled:
-            break
-        wish = -np.linalg.lstsq(follows, best.off, rcond=1e-3)[0]
-        change = share * np.clip(wish, -_FARTHEST, _FARTHEST)
-        law = _changed(best.law, names, change)
-    if best is None:
-        raise InputError('a calibration has at least one round: ask for one or more')
-    law, run, trial = best.law, best.run, best.trial
-    told = carried.predict(trial, carried.theta(target), directions=False)
-    force = float(np.abs(run.force - told.force).max() / np.abs(told.force).max())
-    height = float(np.abs(run.height - told.height).max() / np.abs(told.height).max())
-    fitted = _fit(carried, target, trial, run, motion.corners)
-    recovered = {name: float(v) for name, v in zip(carried.names, fitted, strict=True)}
-    return Calibration(law, run, recovered, force, height, done)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Round:
-    """A round of the calibration: how far the fit to its run is off, and how much is missed."""
-
-    law: LinkLaw
-    run: BodyRun
-    trial: '_Driven'
-    off: FloatArray
-    cost: float
-
-
-def _changed(law: LinkLaw, names: Sequence[str], change: FloatArray) -> LinkLaw:
-    """Return a law with the logarithms of its numbers changed."""
-    factors = (float(factor) for factor in np.exp(change))
-    return scaled(law, dict(zip(names, factors, strict=True)))
+    return carried, wanted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,74 +328,155 @@ class _Misses:
     """What separates a run from the model, each phase with the same weight."""
 
     def __init__(
-        self, model: Model, trial: _Driven, run: BodyRun, corners: Sequence[float]
+        self,
+        model: Model,
+        trial: _Driven,
+        run: BodyRun,
+        corners: Sequence[float],
+        growth: float,
     ) -> None:
-        self._model, self._trial, self._run = model, trial, run
-        long = np.diff(run.t)
+        self.model, self.trial, self.run, self._growth = model, trial, run, growth
+        # Steps are short where much happens: those of a phase weigh alike.
         phase = np.searchsorted(np.array(corners) - 1e-9, run.t[:-1], side='right')
-        weight = np.sqrt(long / np.bincount(phase, long)[phase])
+        weight = 1.0 / np.sqrt(np.bincount(phase)[phase])
         self._by_force = weight / max(float(run.force.max()), 1e-300)
         free = np.append(0.0, weight * (run.touching == 0))
         self._by_height = free / max(float(run.height.max()), 1e-300)
 
-    def values(self, theta: FloatArray) -> FloatArray:
-        """Return the misses for parameters of the model."""
-        told = self._model.predict(self._trial, theta, directions=False)
+    def values(self, theta: FloatArray, level: FloatArray | float = 1.0) -> FloatArray:
+        """Return the misses for parameters of the model; the run's force is brought to a level."""
+        told = self.model.predict(self.trial, theta, directions=False)
         return np.concatenate(
             [
-                self._by_force * (told.force - self._run.force),
-                self._by_height * (told.height - self._run.height),
+                self._by_force * (told.force - self.run.force / level),
+                self._by_height * (told.height - self.run.height),
             ]
         )
 
     def slopes(self, theta: FloatArray) -> FloatArray:
         """Return their derivatives in theta, one column each."""
-        told = self._model.predict(self._trial, theta)
+        told = self.model.predict(self.trial, theta)
         rows = slice(0, theta.size)
         return np.concatenate(
             [(self._by_force * told.d_force[rows]).T, (self._by_height * told.d_height[rows]).T]
         )
 
+    def turned(self, theta: FloatArray, geometry: Geometry) -> FloatArray:
+        """Return how the misses go as force and stretch are turned against each other."""
+        way = self.trial.displacement
+        deepest = float(way.max())
+        grid = np.linspace(0.0, deepest, _GRID)
+        turn = np.exp(_TURN * np.interp(grid, geometry.depth, geometry.lag))
+        slope = 0.5 * (1.0 / turn[1:] + 1.0 / turn[:-1])
+        taken = np.append(0.0, np.cumsum(slope * np.diff(grid)))
+        there = np.where(way > 0.0, np.interp(way, grid, taken), way)
+        told = self.model.predict(self.trial, theta, directions=False)
+        other = self.model.predict(
+            replace(self.trial, displacement=there), theta, directions=False
+        )
+        middle = 0.5 * (self.run.height[1:] + self.run.height[:-1])
+        # The contact grows with the depth of the tool, whatever the chain is given of it.
+        turn[1:] *= (grid[1:] / taken[1:]) ** self._growth
+        force = other.force * np.interp(middle, grid, turn) - told.force
+        height = np.interp(other.height, taken, grid)
+        free = np.flatnonzero(self.run.touching > 0)[-1] + 1
+        back = (other.height[free] - other.height[free:]) * grid[-1] / taken[-1]
+        height[free:] = height[free] - back
+        height -= told.height
+        return np.concatenate([self._by_force * force, self._by_height * height]) / _TURN
 
-def _off(
-    model: Model, target: FloatArray, used: BoolArray, misses: _Misses
-) -> tuple[FloatArray, float]:
+    def fit(self, start: FloatArray) -> FloatArray:
+        """Return the parameters with which the model comes closest to the run."""
+        from scipy.optimize import least_squares
+
+        lower, upper = self.model.bounds
+        theta = np.clip(self.model.theta(start), lower, upper)
+        found = least_squares(
+            self.values,
+            theta,
+            self.slopes,
+            bounds=(lower, upper),
+            x_scale='jac',
+            xtol=1e-10,
+            ftol=1e-12,
+        )
+        return self.model.values(found.x)
+
+
+class _Round:
     """
-    Return by how much a step of a fit to a run changes the logarithms of the used parameters.
+    A round of the calibration: how far a run is off the model, and what would bring it nearer.
 
-    Beside it stands the norm of what separates run and model. Where the body cannot follow the
-    model, the largest change tells little of it: parameters that make up for each other move far
-    for nothing.
+    Attributes
+    ----------
+    off : tuple of float
+        Largest difference of force and of height, over the largest force and the depth.
+    cost : float
+        Norm of what separates run and model.
 
     """
-    theta = model.theta(target)
-    missed = misses.values(theta)
-    slopes = misses.slopes(theta) * np.where(model.log, 1.0, target)
-    cost = float(np.linalg.norm(missed))
-    # As in Levenberg's method, with a damping that goes as the misses go: numbers that make up for
-    # each other are not moved far for what no number can make good.
-    damping = cost * np.eye(int(np.count_nonzero(used)))
-    rows = np.concatenate([slopes[:, used], damping])
-    wanted = np.concatenate([-missed, np.zeros(len(damping))])
-    return np.linalg.lstsq(rows, wanted, rcond=1e-9)[0], cost
 
+    def __init__(
+        self,
+        law: LinkLaw,
+        run: BodyRun,
+        misses: _Misses,
+        target: FloatArray,
+        used: BoolArray,
+        pushed: int,
+    ) -> None:
+        self.law, self.run, self.misses = law, run, misses
+        model = misses.model
+        self._theta = model.theta(target)
+        self._scale = np.where(model.log, 1.0, target)
+        self._used = used
+        told = model.predict(misses.trial, self._theta, directions=False)
+        force = float(np.abs(run.force - told.force).max() / np.abs(told.force).max())
+        height = float(np.abs(run.height - told.height).max() / np.abs(told.height).max())
+        self.off = force, height
+        self.cost = float(np.linalg.norm(misses.values(self._theta)))
+        self._ratio = np.ones_like(run.force)
+        known = (told.force > _SLIGHT * told.force.max()) & (run.force > 0.0)
+        known[pushed:] = False
+        if known.any():
+            share = run.force[known] / told.force[known]
+            ends = run.t[1:]
+            # What is left at the end of the push is left in the hold as well.
+            self._ratio[:pushed] = np.interp(ends[:pushed], ends[known], share / share[-1])
+        self._pushed = pushed
 
-def _fit(
-    model: Model, start: FloatArray, trial: _Driven, run: BodyRun, corners: Sequence[float]
-) -> FloatArray:
-    """Return the parameters with which the model comes closest to a run."""
-    from scipy.optimize import least_squares
+    def change(self, damping: float, *, learns: bool) -> FloatArray:
+        """
+        Return a change of the logarithms of the links' numbers: a step of Levenberg's method.
 
-    misses = _Misses(model, trial, run, corners)
-    lower, upper = model.bounds
-    theta = np.clip(model.theta(start), lower, upper)
-    found = least_squares(
-        misses.values,
-        theta,
-        misses.slopes,
-        bounds=(lower, upper),
-        x_scale='jac',
-        xtol=1e-10,
-        ftol=1e-12,
-    )
-    return model.values(found.x)
+        The chain in one dimension tells how force and height follow them. Damped as they are
+        missed: numbers that make up for each other are not moved far for what no number makes
+        good. Where what the push has left is taken out, it is left out here, and the last element
+        is how much to turn the geometry.
+
+        """
+        missed = self.misses.values(self._theta, self._ratio if learns else 1.0)
+        slopes = (self.misses.slopes(self._theta) * self._scale)[:, self._used]
+        if learns and self.law.geometry is not None:
+            turned = self.misses.turned(self._theta, self.law.geometry)
+            slopes = np.column_stack([slopes, turned])
+        damped = damping * float(np.linalg.norm(missed)) * np.eye(slopes.shape[1])
+        rows = np.concatenate([slopes, damped])
+        wanted = np.concatenate([missed, np.zeros(len(damped))])
+        found = np.linalg.lstsq(rows, wanted, rcond=1e-9)[0]
+        return np.asarray(np.clip(found, -_FARTHEST, _FARTHEST))
+
+    def changed(self, names: Sequence[str], damping: float, *, learns: bool) -> LinkLaw:
+        """Return the law with that change, and with what the push has left taken out."""
+        change = self.change(damping, learns=learns)
+        count = len(names)
+        factors = (float(factor) for factor in np.exp(change[:count]))
+        law = scaled(self.law, dict(zip(names, factors, strict=True)))
+        if not learns:
+            return law
+        depth = np.maximum.accumulate(0.5 * (self.run.height[1:] + self.run.height[:-1]))
+        depth, first = np.unique(depth[: self._pushed], return_index=True)
+        known = law.geometry or Geometry.none()
+        turned = float(change[count:].sum())
+        refined = known.refined(depth, self._ratio[first] ** (-1.0 / damping), turned)
+        return replace(law, geometry=refined)

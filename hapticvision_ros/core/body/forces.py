@@ -52,14 +52,17 @@ import numpy as np
     AGAINST,
     PLAIN,
     CELL,
+    PASSED,
+    TAKEN,
     NUMBERS,
-) = range(20)
+) = range(22)
 """
 What a link's law is over one step: k, c1, weight e of the step's stretch, h / c2, what units and
 series spring give per force, threshold, share 1 - exp(-h / T) of the unit's way, its compliance,
 the series compliance, the weight of its end force, b, damage, the stretch it refers to, 1 / n, the
-rate and the length of the step, the viscosity that z falls back against, whether it is plain; and
-what e is for the volume of a cell, which does not flow.
+rate and the length of the step, the viscosity that z falls back against, whether it is plain;
+what e is for the volume of a cell, which does not flow; and what a link passes on of the force of
+its chain, and gives it of its stretch.
 """
 
 _ITERATIONS = 40
@@ -238,13 +241,13 @@ def link_forces(  # type: ignore[no-untyped-def]
             dy = (ay + by) * per
             dz = (az + bz) * per
             long = rest[k, i] / pitch
-            stretch = (lb - la) / long
+            stretch = q[TAKEN] * (lb - la) / long
             if small:
                 per = 0.0
                 dx = (origin[0, j] - origin[0, i]) / rest[k, i]
                 dy = (origin[1, j] - origin[1, i]) / rest[k, i]
                 dz = (origin[2, j] - origin[2, i]) / rest[k, i]
-                stretch = ((bx - ax) * dx + (by - ay) * dy + (bz - az) * dz) / long
+                stretch = q[TAKEN] * ((bx - ax) * dx + (by - ay) * dy + (bz - az) * dz) / long
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
             if has_series:
@@ -254,7 +257,7 @@ def link_forces(  # type: ignore[no-untyped-def]
             else:
                 most = z_max[k, i] if has_most else 0.0
                 force, slope, _ = _general(stretch, z[k, i], most, q)
-            force *= w * long
+            force *= w * long * q[PASSED]
             net[0, i] += force * dx
             net[1, i] += force * dy
             net[2, i] += force * dz
@@ -263,7 +266,7 @@ def link_forces(  # type: ignore[no-untyped-def]
             net[2, j] -= force * dz
             if fill:
                 across = force * per
-                along = w * slope - across
+                along = w * slope * q[PASSED] * q[TAKEN] - across
                 xx = np.float32(along * dx * dx + across)
                 xy = np.float32(along * dx * dy)
                 xz = np.float32(along * dx * dz)
@@ -317,11 +320,11 @@ def advance_links(  # type: ignore[no-untyped-def]
                 la += (x0[a, j] - x0[a, i]) ** 2
                 lb += (x1[a, j] - x1[a, i]) ** 2
             long = rest[k, i] / pitch
-            stretch = (np.sqrt(lb) - np.sqrt(la)) / long
+            stretch = q[TAKEN] * (np.sqrt(lb) - np.sqrt(la)) / long
             if small:
                 stretch = 0.0
                 for a in range(3):
-                    along = (origin[a, j] - origin[a, i]) / (rest[k, i] * long)
+                    along = q[TAKEN] * (origin[a, j] - origin[a, i]) / (rest[k, i] * long)
                     stretch += along * (x1[a, j] - x1[a, i] - x0[a, j] + x0[a, i])
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
@@ -346,7 +349,7 @@ def advance_links(  # type: ignore[no-untyped-def]
                 ends[k, i] += q[SERIES_END] * (force - ends[k, i])
                 held += 0.5 * q[SERIES] * ends[k, i] * ends[k, i]
             total += held * w * long * long
-    return total
+    return total * q[PASSED] / q[TAKEN]
 
 
 @kernel(error_model='numpy', inline='always')
@@ -427,10 +430,10 @@ def cell_forces(  # type: ignore[no-untyped-def]
                     start += slope[a, p] * (x0[a, i] - origin[a, i])
                     end += slope[a, p] * (x1[a, i] - origin[a, i])
                     middle[a, p] = origin[a, i]
-        stretch = end - start
+        stretch = q[TAKEN] * (end - start)
         if has_series:
             stretch += q[SERIES] * q[SERIES_END] * ends[c]
-        mean = volumes[s] * ratio * (q[K] * z[c] + q[CELL] * stretch) * give
+        mean = volumes[s] * ratio * (q[K] * z[c] + q[CELL] * stretch) * give * q[PASSED]
         _gradient(middle, local, slope, f)
         for a in range(3):
             b = (a + 1) % 3
@@ -443,7 +446,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
                 net[a, corner[p]] -= mean * g[a, p]
         if not fill:
             continue
-        stiff = ratio * q[CELL] * give * volumes[s]
+        stiff = ratio * q[CELL] * give * volumes[s] * q[PASSED] * q[TAKEN]
         for p in range(8):
             i = corner[p]
             for a in range(3):
@@ -496,6 +499,7 @@ def advance_cells(  # type: ignore[no-untyped-def]
             for p in range(8):
                 for a in range(3):
                     stretch += slopes[s, a, p] * (x1[a, corner[p]] - x0[a, corner[p]])
+        stretch *= q[TAKEN]
         if has_series:
             stretch += q[SERIES] * q[SERIES_END] * ends[c]
         force = (q[K] * z[c] + q[CELL] * stretch) * give
@@ -505,4 +509,4 @@ def advance_cells(  # type: ignore[no-untyped-def]
             ends[c] += q[SERIES_END] * (force - ends[c])
             part += 0.5 * q[SERIES] * ends[c] * ends[c]
         held += part * ratio * volumes[s]
-    return held
+    return held * q[PASSED] / q[TAKEN]

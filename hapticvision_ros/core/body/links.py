@@ -43,28 +43,59 @@ EFFECTS: Final = (
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
     """
-    What the shape of a pressed body does to its force, whatever its links are.
+    What links make good of what a push does to the force of a body by its shape alone.
 
-    Springs resist how far the shape has changed, dashpots how fast it changes now: a deep push
-    makes other factors of the two.
+    A link takes `stretch` of its stretch for what its chain is stretched by, and passes on `force`
+    of the chain's force, both by the depth of the push, whatever the chain is. Where no tool
+    touches, it takes as much as on the mean of the way down, so that what springs back is as deep
+    as what was pressed.
 
     Parameters
     ----------
     depth : ndarray, shape (n,)
-        Of the surface under the tool, from zero on [m].
-    springs, dashpots : ndarray, shape (n,)
-        Force of a body of springs alone, and of dashpots alone, over what it would be if the links
-        kept their directions [-].
-    lasting : float
-        How long the push takes: a spring in series with dashpots that relax it in much less is
-        stretched by the rate of the push, and else by its depth [s].
+        Of the surface under the tool [m].
+    force, stretch : ndarray, shape (n,)
+        [-]
+    lag : ndarray, shape (n,)
+        How the two may be turned against each other, ``exp(x lag)`` and ``exp(-x lag)``. What a
+        link does now keeps its force; what it remembers of the way there counts for more or less:
+        springs hold on to how links were stretched where the tool no longer stretches them [-].
 
     """
 
     depth: FloatArray
-    springs: FloatArray
-    dashpots: FloatArray
-    lasting: float
+    force: FloatArray
+    stretch: FloatArray
+    lag: FloatArray
+
+    @classmethod
+    def none(cls) -> 'Geometry':
+        """Return one that changes nothing."""
+        return cls(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1))
+
+    def refined(self, depth: FloatArray, factor: FloatArray, turned: float) -> 'Geometry':
+        """Return one that passes on more of the force, by a factor at each depth, and turned."""
+        both = np.union1d(self.depth, depth)
+        more = np.interp(both, depth, factor)
+        force, stretch, lag = (
+            np.interp(both, self.depth, one) for one in (self.force, self.stretch, self.lag)
+        )
+        turn = np.exp(turned * lag)
+        return Geometry(both, force * more * turn, stretch / turn, lag)
+
+    @property
+    def free(self) -> float:
+        """Return `stretch` where no tool touches [-]."""
+        way = np.append(0.0, self.depth)
+        parts = np.append(self.stretch[0], 0.5 * (self.stretch[1:] + self.stretch[:-1]))
+        return float(parts @ np.diff(way)) / way[-1] if way[-1] > 0.0 else float(self.stretch[-1])
+
+    def at(self, depth: float) -> tuple[float, float]:
+        """Return `force` and `stretch` where the surface under the tool is so deep [m]."""
+        return (
+            float(np.interp(depth, self.depth, self.force)),
+            float(np.interp(depth, self.depth, self.stretch)),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +128,8 @@ class LinkLaw:
     reference_stretch : float
         [m]
     geometry : Geometry or None
-        What is taken out of all numbers at each depth, so that the body answers as it would if
-        geometry did not change; None for numbers that hold at any depth.
+        What is taken out of all links at each depth, so that the body answers as it would if
+        geometry did not change; None for links that are the same at any depth.
 
     """
 
@@ -115,36 +146,6 @@ class LinkLaw:
     damage: float = 0.0
     reference_stretch: float = 1.0
     geometry: Geometry | None = None
-
-    def at(self, depth: float) -> 'LinkLaw':
-        """
-        Return the numbers that hold where the surface under the tool is so deep [m].
-
-        A rate of the shape that is a times larger makes the force of a dashpot a^2 times, of a
-        power law a^(1 + n) times and of a threshold a times larger, by the power that they take.
-
-        """
-        of = self.geometry
-        if of is None:
-            return self
-        springs = 1.0 / float(np.interp(depth, of.depth, of.springs))
-        dashpots = 1.0 / float(np.interp(depth, of.depth, of.dashpots))
-        by_depth = 1.0
-        if self.bounce_viscosity > 0.0 and math.isfinite(self.series_stiffness):
-            both = 1.0 / (1.0 / self.bounce_viscosity + 1.0 / self.flow_viscosity)
-            relaxing = both / self.series_stiffness
-            by_depth = relaxing / (relaxing + of.lasting)
-        series = springs**by_depth * dashpots ** (1.0 - by_depth)
-        return replace(
-            self,
-            stiffness=self.stiffness * springs,
-            series_stiffness=self.series_stiffness * series,
-            unit_stiffness=self.unit_stiffness * springs,
-            bounce_viscosity=self.bounce_viscosity * dashpots,
-            unit_viscosity=self.unit_viscosity * dashpots,
-            flow_viscosity=self.flow_viscosity * dashpots ** (0.5 + 0.5 * self.flow_index),
-            yield_force=self.yield_force * math.sqrt(dashpots),
-        )
 
     @property
     def plain(self) -> bool:

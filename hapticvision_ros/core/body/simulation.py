@@ -304,17 +304,17 @@ class Pressed:
 
     def deep(self, h: float, descent: float, speed: FloatArray | None) -> float:
         """Return how deep the surface under the tool is about the middle of a step [m]."""
-        if self.law.geometry is None:
-            return 0.0
         face = self._under
         depth = float((self.lattice.points[face, 2] - self.x0[2, self.place[face]]).mean())
         if speed is not None:
             return depth - 0.5 * h * float(speed[face, 2].mean())
         return depth + 0.5 * max(descent, 0.0)
 
-    def numbers(self, law: LinkLaw, h: float, *, touching: bool) -> FloatArray:
-        """Return a law of links and cells over a step."""
+    def numbers(self, h: float, *, touching: bool) -> FloatArray:
+        """Return the law of links and cells over a step."""
+        law = self.law
         q = np.zeros(forces.NUMBERS)
+        q[[forces.PASSED, forces.TAKEN]] = 1.0
         against = law.bounce_viscosity + (law.flow_viscosity if touching else 0.0)
         b = forces.fitted_weight(h * law.stiffness / against) if against > 0.0 else 1.0
         q[forces.K] = law.stiffness
@@ -405,9 +405,10 @@ class Pressed:
         net[:, 2] -= self.weight_of_node
         return net
 
-    def ends_out(self) -> FloatArray:
+    def ends_out(self, passed: float) -> FloatArray:
         """Return what the end forces of the step before leave on the nodes, shape (n, 3) [N]."""
         q = np.zeros(forces.NUMBERS)
+        q[[forces.PASSED, forces.TAKEN]] = passed, 1.0
         # Links that stretch by nothing, so soft that they keep what their series springs hold.
         q[[forces.E, forces.CELL, forces.SERIES_END, forces.POWER, forces.PLAIN]] = 1.0
         q[[forces.SERIES, forces.GIVE]] = 1e12
@@ -461,8 +462,13 @@ class Pressed:
         start = self.x0[:, self.place].T
         was = contact.by_tool.copy()
         contact.start(start, before, down=height < before)
-        law = self.law.at(self.deep(h, before - height, speed))
-        q = self.numbers(law, h, touching=bool(contact.by_tool.any()) or height < before)
+        touching = bool(contact.by_tool.any()) or height < before
+        q = self.numbers(h, touching=touching)
+        if self.law.geometry is not None:
+            deep = self.deep(h, before - height, speed)
+            q[[forces.PASSED, forces.TAKEN]] = self.law.geometry.at(deep)
+            if not touching:
+                q[forces.TAKEN] = self.law.geometry.free
         self._q = q
         # Mean forces that balance would turn what the ends leave out of balance, as on a node that
         # is let go, over in each step: it would ring. So the means leave what makes the ends
@@ -471,7 +477,7 @@ class Pressed:
         carried = np.zeros_like(start)
         end = 1.0
         if self.ends.size and not contact.slides:
-            out_before = self.ends_out()
+            out_before = self.ends_out(q[forces.PASSED])
             end = float(q[forces.SERIES_END])
             carried = (end - 1.0) / end * out_before
         self.x1[:] = self.x0
@@ -593,7 +599,8 @@ class Pressed:
         """Return what the elastic body at rest passes on when its face sinks: one solve."""
         nodes = self.face(depth)
         q = np.zeros(forces.NUMBERS)
-        q[[forces.K, forces.E, forces.CELL, forces.PLAIN, forces.POWER]] = 1.0
+        plain = [forces.K, forces.E, forces.CELL, forces.PLAIN, forces.POWER]
+        q[[*plain, forces.PASSED, forces.TAKEN]] = 1.0
         q[forces.YIELD] = math.inf
         self.evaluate(q, fill=True)
         lowest = np.flatnonzero(self.contact.by_support)

@@ -62,8 +62,6 @@ _UPRIGHT: Final = 0.5
 _LEAST_OF_SIDES: Final = 30
 _WELL_SEEN: Final = 0.8
 """Less than this share of the top view is worth a warning."""
-_TOO_SOFT: Final = 0.5
-"""Share of the force that geometry may leave of a deep push, for it to be taken out."""
 _MOST_NODES: Final = 250_000
 _FEW_NODES: Final = 9
 _WELL_CALIBRATED: Final = 0.01
@@ -312,14 +310,9 @@ def study_shape(
 def _cure(settings: ShapeSettings, model: Model, found: Calibration) -> str:
     """Return what may bring a body nearer to its model, to go on a sentence with."""
     surroundings = settings.surroundings or Surroundings()
-    if settings.sphere:
-        if 'contact_growth' not in model.effects:
-            return '; fit a model with contact_growth, as the contact of a sphere grows'
-        return '; choose a smaller --cell, as the contact of a sphere grows node by node'
-    known = found.law.geometry
-    if surroundings.small:
-        return ''
-    if known is None or min(known.springs.min(), known.dashpots.min()) < _TOO_SOFT:
+    if settings.sphere and 'contact_growth' not in model.effects:
+        return '; fit a model with contact_growth, as the contact of a sphere grows'
+    if found.law.geometry is None and not surroundings.small:
         return '; its geometry changes too much for links to make it good: try --small'
     return ''
 

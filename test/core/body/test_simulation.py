@@ -17,6 +17,7 @@
 from dataclasses import replace
 import math
 
+from hapticvision_ros.core.body import calibration
 from hapticvision_ros.core.body.calibration import calibrate, gauge, geometry
 from hapticvision_ros.core.body.lattice import box, Lattice
 from hapticvision_ros.core.body.links import EFFECTS, LinkLaw
@@ -25,6 +26,7 @@ from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, si
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.records import FloatArray
 import numpy as np
 import pytest
 
@@ -37,6 +39,8 @@ SMOOTH = Touch(friction=0.0, lets_go=False)
 FREE = Surroundings(tool=Touch(friction=0.0), support=SMOOTH, volume_ratio=0.0)
 YOUNG = 1.875 * K / 0.01
 BLOCK = box((0.06, 0.06, 0.04), 0.01)
+FINE = box((0.06, 0.06, 0.04), 0.005)
+DASHPOTS = LinkLaw(1e-3, 1e3, 1e15)
 QUICK = Accuracy(first_step=0.4, growth=2.0)
 DISC = Tool(0.0126, 0.0, 0.0)
 TRIAL = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=20.0, recovery=20.0)
@@ -90,7 +94,7 @@ def test_a_body_that_turns_and_shifts_is_under_no_force() -> None:
         ]
     )
     body.x1[:, body.place] = turn @ body.x0[:, body.place] + 0.01
-    q = body.numbers(body.law, 0.1, touching=True)
+    q = body.numbers(0.1, touching=True)
     net = body.evaluate(q, fill=False)
     # Against the force of a link that is stretched by a thousandth of its length.
     assert np.abs(net).max() < 1e-9 * C1 / 0.1 * 1e-5
@@ -299,31 +303,72 @@ def test_numbers_that_make_up_for_each_other_are_not_moved_far_for_nothing() -> 
     assert found.height_misfit < 0.002
 
 
-def test_geometry_begins_as_a_slight_push_and_tells_springs_from_dashpots() -> None:
+def at_constant_speed(
+    law: LinkLaw, tool: Tool, depth: float, steps: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return depth and force of the fine block in a push at constant speed."""
+    push = ToolMotion(np.array([0.0, 1.0]), np.array([0.04, 0.04 - depth]))
+    even = Accuracy(position=depth, force=1.0, first_step=1.0 / steps, longest_step=1.0 / steps)
+    run = simulate(FINE, law, tool, push, accuracy=even)
+    return 0.5 * (run.height[1:] + run.height[:-1]), run.force
+
+
+def test_a_body_of_dashpots_resists_a_deep_push_as_a_slight_one_once_geometry_is_out() -> None:
+    found = geometry(FINE, DISC, 0.010)
+    assert found is not None
+    assert found.at(0.0) == (1.0, 1.0)
+    np.testing.assert_array_equal(found.force, found.stretch)
+    _, plain = at_constant_speed(DASHPOTS, DISC, 0.010, 25)
+    _, out = at_constant_speed(replace(DASHPOTS, geometry=found), DISC, 0.010, 25)
+    assert np.ptp(plain) > 0.15 * plain[0]
+    assert np.abs(out / out[0] - 1.0).max() < 0.005
+
+
+def test_a_body_of_dashpots_under_a_ball_resists_as_its_contact_should_grow() -> None:
+    depth = 0.004
+    ball = Tool(0.02, 0.0, 0.0, sphere=True)
+    found = geometry(FINE, ball, depth, growth=0.5)
+    assert found is not None
+    off = []
+    for law in (DASHPOTS, replace(DASHPOTS, geometry=found)):
+        deep, force = at_constant_speed(law, ball, depth, 50)
+        off.append(float(np.sqrt(np.mean((force / force[-1] - np.sqrt(deep / depth)) ** 2))))
+    # Where a node comes to the ball within a step, the step's mean force is of two contacts.
+    assert off[0] > 0.1
+    assert off[1] < 0.2 * off[0]
+
+
+def test_turning_a_geometry_keeps_what_a_link_does_now() -> None:
     found = geometry(BLOCK, DISC, 0.010)
     assert found is not None
-    assert (found.depth[0], found.springs[0], found.dashpots[0]) == (0.0, 1.0, 1.0)
-    assert found.depth[-1] == pytest.approx(0.010)
-    assert np.abs(found.springs[:3] - 1.0).max() < 0.02
-    assert np.abs(found.dashpots[:3] - 1.0).max() < 0.02
-    assert found.dashpots[-1] > found.springs[-1] + 0.1
-    law = replace(LAW, yield_force=2.0, flow_index=0.5, geometry=found)
-    assert law.at(0.0) == law
-    there = law.at(0.010)
-    rate = 1.0 / found.dashpots[-1]
-    assert there.stiffness == pytest.approx(K / found.springs[-1])
-    assert there.bounce_viscosity == pytest.approx(C1 * rate)
-    assert there.flow_viscosity == pytest.approx(C2 * rate**0.75)
-    assert there.yield_force == pytest.approx(2.0 * rate**0.5)
-    # A series spring that relaxes fast goes with the rate of the push, a slow one with its depth.
-    for stiffness, factor in ((1e9, rate), (1e-3, 1.0 / found.springs[-1])):
-        series = replace(law, series_stiffness=stiffness).at(0.010).series_stiffness
-        assert series == pytest.approx(stiffness * factor, rel=1e-3)
+    depth = np.array([0.002, 0.006])
+    turned = found.refined(depth, np.array([1.0, 1.0]), 0.3)
+    assert turned.at(0.010)[0] == pytest.approx(found.at(0.010)[0] * math.exp(0.3))
+    for deep in found.depth:
+        now, then = (one.at(deep)[0] * one.at(deep)[1] for one in (turned, found))
+        assert now == pytest.approx(then)
+    more = found.refined(depth, np.array([1.0, 1.1]), 0.0)
+    assert more.at(0.002) == pytest.approx(found.at(0.002))
+    assert more.at(0.006)[0] == pytest.approx(1.1 * found.at(0.006)[0])
+    assert more.at(0.008)[1] == pytest.approx(found.at(0.008)[1])
 
 
-def test_a_push_that_is_not_borne_has_no_geometry_nor_has_a_sphere() -> None:
-    assert geometry(BLOCK, DISC, 0.0395, Surroundings(volume_ratio=0.0)) is None
-    assert geometry(BLOCK, replace(DISC, sphere=True), 0.004) is None
+def test_a_push_that_is_not_borne_has_no_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gives_way(*_: object, **__: object) -> BodyRun:
+        raise InputError('the body does not bear the tool')
+
+    monkeypatch.setattr(calibration, 'simulate', gives_way)
+    assert geometry(BLOCK, DISC, 0.004) is None
+
+
+@pytest.mark.parametrize('effect', ['second_retardation', 'series_spring'])
+def test_what_a_deep_push_leaves_is_learnt_from_the_push_and_the_hold(effect: str) -> None:
+    # With the numbers of the links alone 2.4 % of force is left of a second retardation.
+    deep = ToolMotion.trial(0.04, depth=0.010, push_speed=1.3e-3, hold=60.0, recovery=60.0)
+    given = IDENTIFIED | {'K_0': 60000.0, 'K_2': 20000.0, 'C_3': 40000.0}
+    found = calibrate(BLOCK, Model((effect,)), given, DISC, deep, rounds=8)
+    assert found.force_misfit < 0.006
+    assert found.height_misfit < 0.006
 
 
 def test_friction_that_can_be_overcome_has_the_geometry_of_none() -> None:
@@ -333,17 +378,7 @@ def test_friction_that_can_be_overcome_has_the_geometry_of_none() -> None:
     )
     assert rough is not None
     assert smooth is not None
-    np.testing.assert_array_equal(rough.dashpots, smooth.dashpots)
-
-
-def test_a_push_lasts_until_the_tool_is_nearly_down_and_not_until_noise_is_lowest() -> None:
-    t = np.linspace(0.0, 12.0, 121)
-    height = 0.04 - 0.002 * np.minimum(t, 2.0)
-    height[t > 2.0] -= 1e-6 * np.random.default_rng(1).standard_normal(np.count_nonzero(t > 2.0))
-    noisy = ToolMotion(t, height)
-    found = calibrate(CUBE, Model(), IDENTIFIED, DISC, noisy, rounds=1, accuracy=QUICK)
-    assert found.law.geometry is not None
-    assert found.law.geometry.lasting == pytest.approx(2.0, abs=0.11)
+    np.testing.assert_array_equal(rough.force, smooth.force)
 
 
 @pytest.mark.parametrize('sphere', [False, True])
@@ -404,13 +439,18 @@ def test_an_effect_that_no_link_can_carry_is_refused() -> None:
         calibrate(BLOCK, Model(('contact_growth',)), IDENTIFIED | {'m': 0.5}, DISC, TRIAL)
 
 
-def test_under_a_sphere_the_contact_grows_by_itself() -> None:
-    ball = Tool(0.03, 0.0, 0.0, sphere=True)
-    brief = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=2.0, recovery=2.0)
+@pytest.mark.parametrize('radius', [0.0126, 0.03])
+def test_under_a_sphere_the_contact_grows_as_identified(radius: float) -> None:
+    ball = Tool(radius, 0.0, 0.0, sphere=True)
+    trial = ToolMotion.trial(0.04, depth=0.004, push_speed=2e-3, hold=20.0, recovery=20.0)
     given = IDENTIFIED | {'m': 0.5}
     found = [
-        calibrate(CUBE, Model(effects), given, ball, brief, rounds=2, accuracy=QUICK)
+        calibrate(FINE, Model(effects), given, ball, trial, rounds=6)
         for effects in (('contact_growth',), ())
     ]
     assert set(found[0].recovered) == {'K1', 'C1', 'C2', 'm'}
-    assert found[0].force_misfit < 0.75 * found[1].force_misfit
+    assert found[0].force_misfit < 0.01
+    assert found[0].height_misfit < 0.01
+    # A model without that growth is not made right by force.
+    assert found[1].law.geometry is None
+    assert found[1].force_misfit > 0.05
