@@ -17,6 +17,7 @@
 from dataclasses import replace
 import json
 from pathlib import Path
+import re
 import shutil
 
 import cv2
@@ -108,6 +109,31 @@ def test_friction_and_weight_are_declared(folder: Path, tmp_path: Path) -> None:
     assert any('sinks for as long as it stands' in one for one in told['warnings'])
     # A foot that slides lets the sides go out, and the weight helps.
     assert told['bulge_m']['simulated'] > usual['bulge_m']['simulated'] + 2e-5
+
+
+def test_a_body_that_is_not_its_model_is_warned_of_with_what_helps(
+    folder: Path, tmp_path: Path
+) -> None:
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
+    arguments += ['--sphere', '--rounds', '1', '--cell', '6mm', '--out', str(tmp_path / 'out')]
+    assert main(arguments) == 0
+    told = json.loads((tmp_path / 'out' / 'shape.json').read_text())
+    of_force = [one for one in told['warnings'] if 'differs from the model' in one]
+    assert [one.endswith('as the contact of a sphere grows') for one in of_force] == [True]
+    assert told['simulation']['force_misfit'] > 0.01
+    usual = json.loads((folder / 'shape.json').read_text())
+    assert not any('sphere' in one for one in usual['warnings'])
+
+
+def test_few_nodes_under_the_tool_are_warned_of(tmp_path: Path) -> None:
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
+    arguments += ['--small', '--rounds', '1', '--cell', '7mm', '--out', str(tmp_path / 'out')]
+    assert main(arguments) == 0
+    told = json.loads((tmp_path / 'out' / 'shape.json').read_text())
+    assert any(
+        re.search(r"tool's face has only \d nodes in cells of .*smaller --cell", one)
+        for one in told['warnings']
+    )
 
 
 def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:

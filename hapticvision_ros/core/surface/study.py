@@ -275,10 +275,13 @@ def study_shape(
             'leave out its density, or choose a model with yield_force'
         )
     if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
+        cure = ''
+        if settings.sphere and 'contact_growth' not in model.effects:
+            cure = '; fit a model with contact_growth, as the contact of a sphere grows'
         warnings.append(
             f'the simulated body differs from the model by up to {found.force_misfit:.2g} of the '
             f'largest force and {found.height_misfit:.2g} of the depth: the distances hold that '
-            f'as well{_cure(settings, model, found)}'
+            f'as well{cure}'
         )
     return ShapeStudy(
         phases=phases,
@@ -305,16 +308,6 @@ def study_shape(
         ),
         warnings=tuple(warnings),
     )
-
-
-def _cure(settings: ShapeSettings, model: Model, found: Calibration) -> str:
-    """Return what may bring a body nearer to its model, to go on a sentence with."""
-    surroundings = settings.surroundings or Surroundings()
-    if settings.sphere and 'contact_growth' not in model.effects:
-        return '; fit a model with contact_growth, as the contact of a sphere grows'
-    if found.law.geometry is None and not surroundings.small:
-        return '; its geometry changes too much for links to make it good: try --small'
-    return ''
 
 
 def _other_size(observed: Observation, size: tuple[float, float, float]) -> list[str]:
