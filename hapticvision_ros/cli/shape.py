@@ -128,9 +128,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--rounds',
         type=int,
-        default=8,
+        default=12,
         metavar='N',
-        help='runs of the calibration of the links at most (default: 8)',
+        help='runs of the calibration of the links at most (default: 12)',
     )
     parser.add_argument(
         '--average',

@@ -34,8 +34,8 @@ _ALIKE: Final = 5e-3
 """Relative change of numbers that is none."""
 _DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
 _STEPS_OF_A_PUSH: Final = 16
-_STEPS_UNDER_A_SPHERE: Final = 64
-"""There nodes come to the tool one by one."""
+_STEPS_OF_A_TOUCH: Final = 64
+"""The same where nodes come to the tool one by one."""
 _DOWN: Final = 0.99
 """Share of the depth at which a push is over."""
 _SLIGHT: Final = 0.02
@@ -122,8 +122,8 @@ def geometry(
     Return what makes good what a push does to the force of a body by the change of its shape.
 
     A body of dashpots is pressed at constant speed. Its force tells how fast its links are
-    stretched, on and on: under a flat tool beside that with the links' directions as they were at
-    rest. Friction that can be overcome counts as none.
+    stretched, on and on, as geometry changes and nodes come to the tool. Friction that can be
+    overcome counts as none.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def geometry(
     depth : float
         How deep [m].
     growth : float
-        Under a sphere, the exponent m of the depth with which the force has to grow.
+        Exponent of the depth with which the force has to grow, as the m of `contact_growth`.
 
     Returns
     -------
@@ -147,32 +147,25 @@ def geometry(
         support=_without_friction(around.support),
         density=0.0,
     )
-    top = Pressed(lattice, _DASHPOTS, tool, around).meets()
-    push = ToolMotion(np.array([0.0, 1.0]), np.array([top, top - depth]))
-    steps = _STEPS_UNDER_A_SPHERE if tool.sphere else _STEPS_OF_A_PUSH
-    even = 1.0 / steps
+    body = Pressed(lattice, _DASHPOTS, tool, around)
+    level = not tool.sphere and body.first_touched().size == body.face(0.0).size
+    push = ToolMotion(np.array([0.0, 1.0]), np.array([body.top, body.top - depth]))
+    even = 1.0 / (_STEPS_OF_A_PUSH if level else _STEPS_OF_A_TOUCH)
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
-    middle = np.asarray(depth * even * (np.arange(steps) + 0.5), dtype=np.float64)
-    forces = []
-    for kinds in (around,) if tool.sphere else (around, replace(around, small=True)):
-        try:
-            run = simulate(lattice, _DASHPOTS, tool, push, kinds, accuracy=accuracy)
-        except InputError:
-            return None
-        # Where the surface is not level, the tool has gone farther than what it touches.
-        forces.append(np.interp(middle, 0.5 * (run.height[1:] + run.height[:-1]), run.force))
-    if not all((one > 0.0).all() for one in forces):
+    try:
+        run = simulate(lattice, _DASHPOTS, tool, push, around, accuracy=accuracy)
+    except InputError:
         return None
-    if tool.sphere:
-        linear = (middle / depth) ** growth * forces[0][-1]
-        half = np.sqrt(linear / forces[0])
-        lag = np.log(middle / depth)
-        return Geometry(middle, half, half, lag)
-    ratio = forces[0] / forces[1]
-    ratio = np.array([1.0, *ratio, max(1.5 * ratio[-1] - 0.5 * ratio[-2], 0.5 * ratio[-1])])
-    half = 1.0 / np.sqrt(ratio)
-    at = np.array([0.0, *middle, depth])
-    return Geometry(at, half, half, (at / depth) ** 2)
+    if not (run.force > 0.0).all():
+        return None
+    at = body.top - 0.5 * (run.tool[1:] + run.tool[:-1])
+    share = at / depth
+    ratio = run.force / share**growth
+    last = max(1.5 * ratio[-1] - 0.5 * ratio[-2], 0.5 * ratio[-1])
+    at, share, ratio = np.append(at, depth), np.append(share, 1.0), np.append(ratio, last)
+    # A slight push is known where all is touched at once, and else what is touched in the end.
+    half = np.sqrt((ratio[0] if level else last) / ratio)
+    return Geometry(at, half, half, share**2 if level else np.log(share))
 
 
 def _without_friction(touch: Touch) -> Touch:
@@ -231,14 +224,16 @@ def calibrate(
     around = surroundings or Surroundings()
     carried, wanted = _carried(model, parameters, tool)
     target = np.array(list(wanted.values()))
-    top = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around).meets()
+    body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
+    top = body.top
     deepest = top - float(motion.height.min())
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, around, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     growth = [wanted[name] for name in grows]
-    if growth or not (tool.sphere or around.small):
+    level = body.first_touched().size == body.face(0.0).size
+    if growth or not (tool.sphere or (around.small and level)):
         known = geometry(lattice, tool, deepest, around, growth=sum(growth))
         law = replace(law, geometry=known)
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
@@ -374,7 +369,7 @@ class _Misses:
         other = self.model.predict(
             replace(self.trial, displacement=there), theta, directions=False
         )
-        middle = 0.5 * (self.run.height[1:] + self.run.height[:-1])
+        middle = 0.5 * (way[1:] + way[:-1])
         # The contact grows with the depth of the tool, whatever the chain is given of it.
         turn[1:] *= (grid[1:] / taken[1:]) ** self._growth
         force = other.force * np.interp(middle, grid, turn) - told.force
@@ -474,7 +469,8 @@ class _Round:
         law = scaled(self.law, dict(zip(names, factors, strict=True)))
         if not learns:
             return law
-        depth = np.maximum.accumulate(0.5 * (self.run.height[1:] + self.run.height[:-1]))
+        way = self.misses.trial.displacement
+        depth = np.maximum.accumulate(0.5 * (way[1:] + way[:-1]))
         depth, first = np.unique(depth[: self._pushed], return_index=True)
         known = law.geometry or Geometry.none()
         turned = float(change[count:].sum())

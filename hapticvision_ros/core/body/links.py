@@ -53,7 +53,7 @@ class Geometry:
     Parameters
     ----------
     depth : ndarray, shape (n,)
-        Of the surface under the tool [m].
+        Of the tool below its first touch [m].
     force, stretch : ndarray, shape (n,)
         [-]
     lag : ndarray, shape (n,)
@@ -91,7 +91,7 @@ class Geometry:
         return float(parts @ np.diff(way)) / way[-1] if way[-1] > 0.0 else float(self.stretch[-1])
 
     def at(self, depth: float) -> tuple[float, float]:
-        """Return `force` and `stretch` where the surface under the tool is so deep [m]."""
+        """Return `force` and `stretch` where the tool is so deep [m]."""
         return (
             float(np.interp(depth, self.depth, self.force)),
             float(np.interp(depth, self.depth, self.stretch)),

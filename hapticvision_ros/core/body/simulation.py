@@ -64,6 +64,8 @@ _EVENT: Final = 4.0
 """Force of nodes that leave within a step, at most, over the error of the force."""
 _DAMPED: Final = 1.65
 """Largest weight of the end of a step of a series spring where friction is overcome; 2 is all."""
+_AT_ONCE: Final = 0.01
+"""How far nodes are from the tool at the first touch that it touches at once, over the pitch."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
 _DRAG: Final = 1e-6
@@ -117,8 +119,8 @@ class BodyRun:
     tool : ndarray, shape (n + 1,)
         Height of the tool's tip [m].
     height : ndarray, shape (n + 1,)
-        Displacement height at the contact: how far the surface under the tool has gone down, the
-        mean over the nodes of its face [m].
+        Displacement height at the contact: how far the surface has gone down where the tool first
+        touched it, the mean over these nodes [m].
     touching : ndarray of int, shape (n,)
         How many nodes the tool touches.
     volume : ndarray, shape (n + 1,)
@@ -278,7 +280,7 @@ class Pressed:
             lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
         )
         self.loose = surroundings.support.lets_go or surroundings.support.friction < math.inf
-        self._under = self.face(0.0) if law.geometry is not None else np.zeros(0, dtype=np.intp)
+        self.top = self.meets()
         self.newton = 0
         self.cycles = 0
         self.largest = 0.0
@@ -301,14 +303,6 @@ class Pressed:
             return math.inf
         dashpots = 1.0 / (1.0 / law.bounce_viscosity + 1.0 / law.flow_viscosity)
         return _FRESH * math.sqrt(accuracy.force) * dashpots / law.series_stiffness
-
-    def deep(self, h: float, descent: float, speed: FloatArray | None) -> float:
-        """Return how deep the surface under the tool is about the middle of a step [m]."""
-        face = self._under
-        depth = float((self.lattice.points[face, 2] - self.x0[2, self.place[face]]).mean())
-        if speed is not None:
-            return depth - 0.5 * h * float(speed[face, 2].mean())
-        return depth + 0.5 * max(descent, 0.0)
 
     def numbers(self, h: float, *, touching: bool) -> FloatArray:
         """Return the law of links and cells over a step."""
@@ -465,7 +459,7 @@ class Pressed:
         touching = bool(contact.by_tool.any()) or height < before
         q = self.numbers(h, touching=touching)
         if self.law.geometry is not None:
-            deep = self.deep(h, before - height, speed)
+            deep = self.top - 0.5 * (before + height)
             q[[forces.PASSED, forces.TAKEN]] = self.law.geometry.at(deep)
             if not touching:
                 q[forces.TAKEN] = self.law.geometry.free
@@ -658,14 +652,24 @@ class Pressed:
 
     def meets(self) -> float:
         """Return the height of the tool at which it first touches the body at rest [m]."""
-        points, tool = self.lattice.points[self.face(0.0)], self.tool
+        return float(self._reached()[1].max())
+
+    def first_touched(self) -> IndexArray:
+        """Return the nodes that the tool touches at once."""
+        nodes, height = self._reached()
+        return np.asarray(nodes[height >= height.max() - _AT_ONCE * self.lattice.pitch])
+
+    def _reached(self) -> tuple[IndexArray, FloatArray]:
+        """Return nodes before the tool, and its height where it touches each at rest [m]."""
+        points, tool = self.lattice.points, self.tool
+        nodes = self.face(0.0)
         if not tool.sphere:
-            return float(points[:, 2].max())
-        upper = self.lattice.points[self.lattice.surface[0]]
-        aside = np.hypot(upper[:, 0] - tool.x, upper[:, 1] - tool.y)
+            return nodes, points[nodes, 2]
+        upper = self.lattice.surface[0]
+        aside = np.hypot(points[upper, 0] - tool.x, points[upper, 1] - tool.y)
         near = aside < tool.radius
         rise = tool.radius - np.sqrt(tool.radius**2 - aside[near] ** 2)
-        return float((upper[near, 2] - rise).max())
+        return upper[near], points[upper[near], 2] - rise
 
 
 def _cell_shapes(lattice: Lattice) -> tuple[FloatArray, FloatArray]:
@@ -700,7 +704,7 @@ class _Record:
 
     def __init__(self, body: Pressed, t: float, height: float, at: Sequence[float]) -> None:
         self._body = body
-        self._face = body.face(0.0)
+        self._face = body.first_touched()
         self._rest = body.lattice.points
         self.t, self.tool = [t], [height]
         self.force: list[float] = []

@@ -106,7 +106,7 @@ class ShapeSettings:
     contact: tuple[float, float] | None = None
     sphere: bool = False
     surroundings: Surroundings | None = None
-    rounds: int = 8
+    rounds: int = 12
     pictures: int = 40
 
 
