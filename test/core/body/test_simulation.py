@@ -441,7 +441,9 @@ def test_an_effect_that_no_link_can_carry_is_refused() -> None:
 
 def heights(shape: str) -> FloatArray:
     """Return a map of heights in cells of 2.5 mm, 80 x 70 mm [m]."""
-    y, x = np.mgrid[-0.035 + 0.00125 : 0.035 : 0.0025, -0.04 + 0.00125 : 0.04 : 0.0025]
+    y, x = np.meshgrid(
+        0.0025 * (np.arange(28) - 13.5), 0.0025 * (np.arange(32) - 15.5), indexing='ij'
+    )
     aside = np.hypot(x, y)
     if shape == 'wedge':
         return np.where((np.abs(x) < 0.03) & (np.abs(y) < 0.025), 0.03 + 0.3 * x, 0.0)
