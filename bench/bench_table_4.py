@@ -195,7 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--out', type=Path, help='page whose tables are renewed')
     parser.add_argument('--cell-mm', type=float, default=5.0)
-    parser.add_argument('--rounds', type=int, default=8)
+    parser.add_argument('--rounds', type=int, default=12)
     args = parser.parse_args()
     rows = read_rows()
     lines = []
