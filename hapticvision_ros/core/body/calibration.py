@@ -261,6 +261,8 @@ def calibrate(
         found = _Round(law, run, misses, target, used, pushed)
         better = best is None or found.cost < best.cost
         before = math.inf if best is None else best.cost
+        # A damped step that does little tells nothing.
+        tells = damping <= _LESS
         if better:
             best = found
             damping = max(damping / _LESS, 1.0)
@@ -268,7 +270,7 @@ def calibrate(
             damping *= _MORE
         assert best is not None
         close = max(best.off) < _CLOSE
-        no_more = better and best.cost > _STILL * before
+        no_more = better and tells and best.cost > _STILL * before
         if damping > _MOST or (learns and (close or no_more)):
             break
         if not learns:
