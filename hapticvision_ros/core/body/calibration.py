@@ -255,6 +255,11 @@ def calibrate(
                 raise
             damping *= _MORE
             continue
+        if run.force.max() <= 0.0:
+            raise InputError(
+                'the tool does not reach the body, which sinks under its own weight: choose a '
+                'smaller density'
+            )
         trial = _Driven(run.t, top - run.tool, run.t, depth)
         pushed = int(np.argmax(run.tool <= top - _DOWN * deepest))
         misses = _Misses(carried, trial, run, motion.corners, sum(growth))

@@ -108,6 +108,9 @@ class Contact:
         near = points[surface, 2] <= _NEAR * pitch
         self._lowest = surface[near]
         self._upper = surface[~near]
+        self._surface = surface
+        self._foot = np.zeros(len(points), dtype=bool)
+        self._foot[self._lowest] = True
         count = len(points)
         self.by_tool: BoolArray = np.zeros(count, dtype=bool)
         self.by_support: BoolArray = np.zeros(count, dtype=bool)
@@ -232,7 +235,9 @@ class Contact:
         support = self._touches[1]
         may = self._changes[nodes] < _MOST_CHANGES
         on_tool = self.by_tool[nodes]
-        leaves = (press < -slack) & may & (on_tool | support.lets_go)
+        # What comes down beside the foot is not glued to the support.
+        loose = support.lets_go | ~self._foot[nodes]
+        leaves = (press < -slack) & may & (on_tool | loose)
         gone = nodes[leaves]
         self.by_tool[gone] = False
         self.by_support[gone] = False
@@ -242,7 +247,9 @@ class Contact:
         gap, _ = self._gap(x[self._side], height)
         through = self._side[(gap < -_NEAR * self._pitch) & ~self.by_tool[self._side]]
         self.by_tool[through] = True
-        low = self._lowest[(x[self._lowest, 2] < 0.0) & ~self.by_support[self._lowest]]
+        deep = x[self._surface, 2] < -_NEAR * self._pitch
+        low = self._surface[deep]
+        low = low[~(self.by_support[low] | self.by_tool[low])]
         self.by_support[low] = True
         for new in (through, low):
             self._changes[new] += 1

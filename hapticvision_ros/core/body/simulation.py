@@ -801,9 +801,11 @@ def _run(body: Pressed, motion: ToolMotion, at: tuple[float, ...], accuracy: Acc
                     continue
                 h *= 0.5
                 if h < shortest:
+                    lighter = ', or a lighter body' if body.surroundings.density > 0.0 else ''
                     raise InputError(
                         f'the body does not bear the tool {1e3 * goal:g} mm over the support at '
                         f'{t:.4g} s: push less deep, or choose larger cells or a stiffer volume'
+                        f'{lighter}'
                     )
                 continue
             moved = (body.x1 - body.x0)[:, body.place].T

@@ -51,6 +51,8 @@ _BANDS: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Between these shares of the height."""
 _RINGS: Final = ((0.0, 0.4), (0.4, 0.8), (1.4, 1.8), (1.8, 2.4), (2.4, 3.2))
 """Between these multiples of the tool's radius, off the flank of the dent."""
+_ASTRAY: Final = 0.05
+"""Share of force or depth from which on a body is not that of the identified model."""
 _FRICTIONS: Final = {
     'slides on the support': 0.0,
     'friction 0.3 on the support': 0.3,
@@ -262,7 +264,8 @@ def close_loop(
     Raises
     ------
     InputError
-        If what was declared cannot be simulated; a rival that cannot is left out.
+        If what was declared cannot be simulated; a rival that cannot, or whose body does not
+        follow the identified model, is left out.
 
     """
     asked = rivals(settings)
@@ -278,6 +281,10 @@ def close_loop(
                 if name == AS_DECLARED:
                     raise
                 failed[name] = str(error).rstrip('.')
+                break
+            off = max(study.calibration.force_misfit, study.calibration.height_misfit)
+            if off > _ASTRAY and name != AS_DECLARED:
+                failed[name] = f'its body is {100.0 * off:.0f} % off the identified model'
                 break
             observed[trial] = study.observed
             radius = settings.cloud.tool_radius

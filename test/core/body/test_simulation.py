@@ -381,6 +381,22 @@ def test_friction_that_can_be_overcome_has_the_geometry_of_none() -> None:
     np.testing.assert_array_equal(rough.force, smooth.force)
 
 
+def test_no_node_goes_through_the_support_nor_is_glued_where_it_comes_down() -> None:
+    block = box((0.03, 0.03, 0.02), 0.005)
+    trial = ToolMotion.trial(0.02, depth=0.010, push_speed=2e-3, hold=2.0, recovery=10.0)
+    run = simulate(block, LAW, Tool(0.03, 0.0, 0.0), trial, at=(7.0, float(trial.t[-1])))
+    sides = block.points[:, 2] > 0.001
+    assert run.frames[0][sides, 2].min() > -1e-6
+    assert run.frames[0][sides, 2].min() < 1e-6
+    assert run.frames[1][sides, 2].min() > 1e-4
+
+
+def test_a_body_that_sinks_out_of_reach_is_refused() -> None:
+    around = Surroundings(density=1e6)
+    with pytest.raises(InputError, match='own weight: choose a smaller density'):
+        calibrate(CUBE, Model(), IDENTIFIED, DISC, BRIEF, around, accuracy=QUICK)
+
+
 @pytest.mark.parametrize('sphere', [False, True])
 def test_friction_bears_a_tool_that_does_not_touch_yet(sphere: bool) -> None:
     motion = ToolMotion(np.array([0.0, 0.5, 1.0]), np.array([0.0405, 0.04, 0.038]))

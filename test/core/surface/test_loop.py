@@ -200,12 +200,17 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
         by = {0.0: 0.0, 1.0: 5e-4, 14.0: 1e-3}[around.volume_ratio]
         if around.support.friction == 0.0:
             by = 2e-3
-        surfaces = (bulged(dented(depth), by),)
-        return SimpleNamespace(observed=few, rest=rest, surfaces=surfaces)
+        # A ratio of 1 would fit as well, were its body that of the identified model.
+        astray = around.volume_ratio == 1.0
+        surfaces = (bulged(dented(depth), 0.0 if astray else by),)
+        calibration = SimpleNamespace(force_misfit=0.2 if astray else 0.004, height_misfit=0.01)
+        return SimpleNamespace(observed=few, rest=rest, surfaces=surfaces, calibration=calibration)
 
     loop, settings = close_loop(2, SETTINGS, simulate)
     assert loop.accepted
     assert loop.chosen == 'volume ratio 0'
+    assert 'volume ratio 1' not in loop.misfits
+    assert 'volume ratio 1 could not be simulated (its body is 20 % off the' in loop.verdict
     assert settings.surroundings is not None
     assert settings.surroundings.volume_ratio == 0.0
     assert 'spherical tool' not in loop.misfits
