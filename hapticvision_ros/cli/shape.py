@@ -122,8 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--small',
         action='store_true',
-        help='links keep their directions, as if the push were small; else their numbers change '
-        'with the depth, so that a body that is pressed deep follows the identified model too',
+        help='links keep their directions, as if the push were small',
     )
     parser.add_argument(
         '--rounds',

@@ -29,7 +29,7 @@ from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
 _OF_A_SPHERE: Final = 'contact_growth'
-"""An effect of the object that no link carries: under a sphere it makes itself."""
+"""An effect of the object that no link carries: under a sphere geometry makes it."""
 _ALIKE: Final = 5e-3
 """Relative change of numbers that is none."""
 _DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
@@ -54,6 +54,8 @@ _MOST: Final = 20.0
 _TURN: Final = 0.05
 """By how much force and stretch are turned against each other for the derivative."""
 _GRID: Final = 256
+_FARTHEST_FACTOR: Final = 4.0
+"""Largest change of a force's factor in a round."""
 _FARTHEST: Final = 0.5
 """Largest change of a logarithm in a round."""
 
@@ -68,7 +70,7 @@ class Calibration:
     law : LinkLaw
         Of the links.
     run : BodyRun
-        The last run, with this law.
+        The best run, with this law.
     recovered : dict of str to float
         What the identified model gives when it is fitted to force and height of that run.
     force_misfit, height_misfit : float
@@ -188,8 +190,9 @@ def calibrate(
     """
     Return links for which the body gives force and height of the identified model.
 
-    With large displacements, and under a sphere, first what geometry alone does to the force is
-    measured (`geometry`, one or two short runs) and taken out of the links. Each round then
+    With large displacements, on a top that is not level, and under a sphere where the model has
+    `contact_growth`, first what geometry alone does to the force is
+    measured (`geometry`, one short run) and taken out of the links. Each round then
     simulates the trial, tells from what came out how the numbers of the links would bring it
     nearer to the model (a step by Levenberg's method, with the derivatives of the model), and
     changes them so. Where that does no more, rounds also take out what the push has left, by a
@@ -204,7 +207,7 @@ def calibrate(
         The body at rest.
     model : Model
         The identified model; its effects of cell and sensor are left out of account. Under a
-        sphere it may have `contact_growth`, which the contact of the body then has to give.
+        sphere it may have `contact_growth`.
     parameters : mapping of str to float
         Its parameters by name, SI.
     tool, motion, surroundings, at, accuracy
@@ -227,6 +230,10 @@ def calibrate(
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
     top = body.top
     deepest = top - float(motion.height.min())
+    if not deepest > 0.0:
+        raise InputError(
+            f'the tool does not touch the body: it stays {-1e3 * deepest:.3g} mm over it'
+        )
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, around, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth)
@@ -254,6 +261,8 @@ def calibrate(
             if best is None:
                 raise
             damping *= _MORE
+            if damping > _MOST:
+                break
             continue
         if run.force.max() <= 0.0:
             raise InputError(
@@ -261,7 +270,8 @@ def calibrate(
                 'smaller density'
             )
         trial = _Driven(run.t, top - run.tool, run.t, depth)
-        pushed = int(np.argmax(run.tool <= top - _DOWN * deepest))
+        # A recorded tool is not quite still in the hold.
+        pushed = int(np.argmax(top - run.tool >= _DOWN * (top - run.tool.min())))
         misses = _Misses(carried, trial, run, motion.corners, sum(growth))
         found = _Round(law, run, misses, target, used, pushed)
         better = best is None or found.cost < best.cost
@@ -444,7 +454,8 @@ class _Round:
             share = run.force[known] / told.force[known]
             ends = run.t[1:]
             # What is left at the end of the push is left in the hold as well.
-            self._ratio[:pushed] = np.interp(ends[:pushed], ends[known], share / share[-1])
+            ratio = np.interp(ends[:pushed], ends[known], share / share[-1])
+            self._ratio[:pushed] = np.clip(ratio, 1.0 / _FARTHEST_FACTOR, _FARTHEST_FACTOR)
         self._pushed = pushed
 
     def change(self, damping: float, *, learns: bool) -> FloatArray:
@@ -474,7 +485,7 @@ class _Round:
         count = len(names)
         factors = (float(factor) for factor in np.exp(change[:count]))
         law = scaled(self.law, dict(zip(names, factors, strict=True)))
-        if not learns:
+        if not learns or self._pushed == 0:
             return law
         way = self.misses.trial.displacement
         depth = np.maximum.accumulate(0.5 * (way[1:] + way[:-1]))

@@ -48,7 +48,7 @@ class Geometry:
     A link takes `stretch` of its stretch for what its chain is stretched by, and passes on `force`
     of the chain's force, both by the depth of the push, whatever the chain is. Where no tool
     touches, it takes as much as on the mean of the way down, so that what springs back is as deep
-    as what was pressed.
+    as what was pressed, and passes on so much more that a weight does what it would.
 
     Parameters
     ----------

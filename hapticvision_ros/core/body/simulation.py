@@ -456,13 +456,15 @@ class Pressed:
         start = self.x0[:, self.place].T
         was = contact.by_tool.copy()
         contact.start(start, before, down=height < before)
-        touching = bool(contact.by_tool.any()) or height < before
-        q = self.numbers(h, touching=touching)
+        touching = bool(contact.by_tool.any())
+        q = self.numbers(h, touching=touching or height < before)
         if self.law.geometry is not None:
             deep = self.top - 0.5 * (before + height)
             q[[forces.PASSED, forces.TAKEN]] = self.law.geometry.at(deep)
+            # A tool that goes up and down in the air by its noise changes nothing.
             if not touching:
-                q[forces.TAKEN] = self.law.geometry.free
+                free = self.law.geometry.free
+                q[[forces.PASSED, forces.TAKEN]] = 1.0 / free, free
         self._q = q
         # Mean forces that balance would turn what the ends leave out of balance, as on a node that
         # is let go, over in each step: it would ring. So the means leave what makes the ends
