@@ -530,7 +530,7 @@ def test_under_a_sphere_the_contact_grows_as_identified() -> None:
     given = IDENTIFIED | {'m': 0.5}
     found = [
         calibrate(FINE, Model(effects), given, ball, trial, rounds=rounds)
-        for effects, rounds in ((('contact_growth',), 6), ((), 2))
+        for effects, rounds in ((('contact_growth',), 12), ((), 2))
     ]
     assert set(found[0].recovered) == {'K1', 'C1', 'C2', 'm'}
     assert found[0].force_misfit < 0.01
