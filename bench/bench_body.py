@@ -28,11 +28,12 @@ import resource
 import time
 
 from hapticvision_ros.core.body.calibration import calibrate, gauge, geometry
-from hapticvision_ros.core.body.lattice import box, Lattice
+from hapticvision_ros.core.body.lattice import box, from_heights, Lattice
 from hapticvision_ros.core.body.links import link_law, LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
-from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, simulate
+from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.surface.deformation import mesh_height
 from hapticvision_ros.core.surface.mesh import Mesh
 from hapticvision_ros.sim.soft_body import SoftBody, SoftMaterial
@@ -234,6 +235,54 @@ def ball(pitches: list[float], depth: float, radii: list[float], rounds: int) ->
             )
 
 
+def maps() -> dict[str, FloatArray]:
+    """Return maps of heights in cells of 2.5 mm, 100 x 80 mm, with 0.2 mm of noise [m]."""
+    y, x = np.meshgrid(
+        0.0025 * (np.arange(32) - 15.5), 0.0025 * (np.arange(40) - 19.5), indexing='ij'
+    )
+    aside = x**2 + y**2
+    oval = (x / 0.04) ** 2 + (y / 0.03) ** 2
+    found = {
+        'wedge 0.2': np.where((abs(x) < 0.04) & (abs(y) < 0.03), 0.03 + 0.2 * x, 0.0),
+        'wedge 0.35': np.where((abs(x) < 0.03) & (abs(y) < 0.03), 0.03 + 0.35 * x, 0.0),
+        'dome of 60 mm': np.where(
+            aside < 0.035**2, np.sqrt(np.maximum(0.06**2 - aside, 0.0)) - 0.025, 0.0
+        ),
+        'hemisphere of 35 mm': np.where(
+            aside < 0.0345**2, np.sqrt(np.maximum(0.035**2 - aside, 0.0)), 0.0
+        ),
+        'lump': np.where(
+            oval < 1.0, 0.028 + 0.004 * np.sin(80.0 * x) * np.cos(60.0 * y) - 0.01 * oval, 0.0
+        ),
+    }
+    noise = 2e-4 * np.random.default_rng(1).standard_normal(x.shape)
+    return {
+        name: np.where(one > 0.0, np.maximum(one + noise, 0.001), 0.0)
+        for name, one in found.items()
+    }
+
+
+def shapes(pitch: float, depths: list[float], rounds: int) -> None:
+    """Print how well objects whose top is not level agree with the model under a flat tool."""
+    print('object | depth mm | model | nodes | rounds | force % | height %')
+    for name, heights in maps().items():
+        body = from_heights((-0.05, -0.04), 0.0025, heights, pitch)
+        top = Pressed(body, LinkLaw(1.0, 1.0, 1.0), TOOL, Surroundings()).top
+        for depth in depths:
+            for effects in ((), ('yield_force',)):
+                model = Model(effects)
+                path = ToolMotion.trial(
+                    top, depth=depth, push_speed=2e-3, hold=20.0, recovery=20.0
+                )
+                found = calibrate(body, model, parameters(depth), TOOL, path, rounds=rounds)
+                print(
+                    f'{name} | {1e3 * depth:g} | {model.name} | {len(body.points)} | '
+                    f'{found.rounds} | {100 * found.force_misfit:.2f} | '
+                    f'{100 * found.height_misfit:.2f}',
+                    flush=True,
+                )
+
+
 def edge(pitches: list[float], depth: float) -> None:
     """Print what it makes where the nodes fall under the tool: its axis is shifted by parts."""
     path = ToolMotion.trial(SIZE[2], depth=depth, push_speed=1.3e-3, hold=20.0, recovery=40.0)
@@ -296,7 +345,8 @@ def main() -> int:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        'what', choices=('accuracy', 'growth', 'match', 'geometry', 'ball', 'edge', 'explicit')
+        'what',
+        choices=('accuracy', 'growth', 'match', 'geometry', 'ball', 'shapes', 'edge', 'explicit'),
     )
     parser.add_argument('--pitch-mm', type=float, nargs='+', default=[5.0])
     parser.add_argument('--depth-mm', type=float, nargs='+', default=[10.0])
@@ -320,6 +370,8 @@ def main() -> int:
     elif arguments.what == 'ball':
         radii = [1e-3 * r for r in arguments.radius_mm]
         ball(pitches, depth, radii, arguments.rounds)
+    elif arguments.what == 'shapes':
+        shapes(pitches[0], depths, arguments.rounds)
     elif arguments.what == 'edge':
         edge(pitches, depth)
     elif arguments.what == 'explicit':

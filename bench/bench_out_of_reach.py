@@ -89,7 +89,7 @@ def main() -> None:
         left = len(of) - beyond.get(r, 0)
         print(
             f'r = {r:g}: {good} of {len(of)} right; {beyond.get(r, 0)} out of reach, '
-            f'{good} of the other {left} ({100.0 * good / left:.0f} %)'
+            f'{good} of the other {left}' + (f' ({100.0 * good / left:.0f} %)' if left else '')
         )
 
 

@@ -324,6 +324,23 @@ def test_a_body_of_dashpots_resists_a_deep_push_as_a_slight_one_once_geometry_is
     assert np.abs(out / out[0] - 1.0).max() < 0.005
 
 
+def test_a_calibration_begins_with_the_geometry_of_the_body() -> None:
+    deep = ToolMotion.trial(0.04, depth=0.010, push_speed=2e-3, hold=3.0, recovery=3.0)
+    first = calibrate(BLOCK, Model(), IDENTIFIED, DISC, deep, rounds=1, accuracy=QUICK)
+    measured = geometry(BLOCK, DISC, 0.010)
+    assert first.law.geometry is not None
+    assert measured is not None
+    np.testing.assert_allclose(first.law.geometry.force, measured.force)
+    assert measured.force[-1] < 0.98
+    small = Surroundings(small=True)
+    assert (
+        calibrate(
+            BLOCK, Model(), IDENTIFIED, DISC, deep, small, rounds=1, accuracy=QUICK
+        ).law.geometry
+        is None
+    )
+
+
 def test_a_body_of_dashpots_under_a_ball_resists_as_its_contact_should_grow() -> None:
     depth = 0.004
     ball = Tool(0.02, 0.0, 0.0, sphere=True)
