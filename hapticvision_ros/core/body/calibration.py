@@ -150,7 +150,7 @@ def geometry(
         density=0.0,
     )
     body = Pressed(lattice, _DASHPOTS, tool, around)
-    level = not tool.sphere and body.first_touched().size == body.face(0.0).size
+    level = body.is_level
     push = ToolMotion(np.array([0.0, 1.0]), np.array([body.top, body.top - depth]))
     even = 1.0 / (_STEPS_OF_A_PUSH if level else _STEPS_OF_A_TOUCH)
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
@@ -191,15 +191,15 @@ def calibrate(
     Return links for which the body gives force and height of the identified model.
 
     With large displacements, on a top that is not level, and under a sphere where the model has
-    `contact_growth`, first what geometry alone does to the force is
-    measured (`geometry`, one short run) and taken out of the links. Each round then
-    simulates the trial, tells from what came out how the numbers of the links would bring it
-    nearer to the model (a step by Levenberg's method, with the derivatives of the model), and
-    changes them so. Where that does no more, rounds also take out what the push has left, by a
-    factor of the links' force at each depth, and turn it (`links.Geometry.lag`) as the hold and
-    the recovery ask for. A step from the best round so far that does worse is damped: the best is
-    the one whose force and height are nearest to the model's in the mean square; push, hold and
-    recovery weigh alike. It ends where the largest difference is 0.3 %, or a round does no more.
+    `contact_growth`, first what geometry alone does to the force is measured (`geometry`, one
+    short run) and taken out of the links. Each round then simulates the trial, tells from what
+    came out how the numbers of the links would bring it nearer to the model (a step by
+    Levenberg's method, with the derivatives of the model), and changes them so. Where that does
+    no more, rounds also take out what the push has left, by a factor of the links' force at each
+    depth, and turn it (`links.Geometry.lag`) as the hold and the recovery ask for. A step from the
+    best round so far that does worse is damped: the best is the one whose force and height are
+    nearest to the model's in the mean square; push, hold and recovery weigh alike. It ends where
+    the largest difference is 0.3 %, or a round does no more.
 
     Parameters
     ----------
@@ -239,8 +239,7 @@ def calibrate(
     law = link_law(wanted, measure, reference_depth=depth)
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     growth = [wanted[name] for name in grows]
-    level = body.first_touched().size == body.face(0.0).size
-    if growth or not (tool.sphere or (around.small and level)):
+    if growth or not (tool.sphere or (around.small and body.is_level)):
         known = geometry(lattice, tool, deepest, around, growth=sum(growth))
         law = replace(law, geometry=known)
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}

@@ -233,7 +233,15 @@ def simulate(
 
 
 class Pressed:
-    """A body with the state of its links, step by step."""
+    """
+    A body with the state of its links, step by step.
+
+    Attributes
+    ----------
+    top : float
+        Height of the tool at which it first touches the body at rest [m].
+
+    """
 
     def __init__(
         self, lattice: Lattice, law: LinkLaw, tool: Tool, surroundings: Surroundings
@@ -280,7 +288,7 @@ class Pressed:
             lattice.points, lattice.surface[0], lattice.pitch, tool, surroundings
         )
         self.loose = surroundings.support.lets_go or surroundings.support.friction < math.inf
-        self.top = self.meets()
+        self.top = float(self._reached()[1].max())
         self.newton = 0
         self.cycles = 0
         self.largest = 0.0
@@ -652,9 +660,10 @@ class Pressed:
         _, first = np.unique(columns[order][:, :2], axis=0, return_index=True)
         return np.sort(top[order][first])
 
-    def meets(self) -> float:
-        """Return the height of the tool at which it first touches the body at rest [m]."""
-        return float(self._reached()[1].max())
+    @property
+    def is_level(self) -> bool:
+        """Return whether a flat tool touches all that is under it at once."""
+        return not self.tool.sphere and self.first_touched().size == self.face(0.0).size
 
     def first_touched(self) -> IndexArray:
         """Return the nodes that the tool touches at once."""
@@ -767,7 +776,7 @@ class _Record:
 def _stops(body: Pressed, motion: ToolMotion) -> list[float]:
     """Return when steps have to end: the corners of the motion, the first touch and the end."""
     stops = [*motion.corners, float(motion.t[-1])]
-    above = motion.height - body.meets()
+    above = motion.height - body.top
     crossing = np.flatnonzero((above[:-1] > 0.0) & (above[1:] <= 0.0))
     if crossing.size:
         i = int(crossing[0])

@@ -293,7 +293,7 @@ def close_loop(
             profiles[name] = made
     loop = judge(profiles)
     for name, why in failed.items():
-        loop = replace(loop, verdict=f'{loop.verdict}; {name} could not be simulated ({why})')
+        loop = replace(loop, verdict=f'{loop.verdict}; {name} was left out ({why})')
     return loop, asked[loop.chosen] if loop.accepted else settings
 
 

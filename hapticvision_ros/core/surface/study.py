@@ -226,7 +226,7 @@ def study_shape(
     surroundings = settings.surroundings or Surroundings()
     # The surface is not just as high as the arm felt it: what counts is the way beyond the touch.
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings)
-    top, under = body.meets(), len(body.face(0.0))
+    top, under = body.top, len(body.face(0.0))
     motion = _motion(trial, phases, top)
     at, shots = _times(observed, phases, settings.pictures)
     tell(f'simulating the body with {len(lattice.points)} nodes')

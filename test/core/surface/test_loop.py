@@ -210,11 +210,11 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
     assert loop.accepted
     assert loop.chosen == 'volume ratio 0'
     assert 'volume ratio 1' not in loop.misfits
-    assert 'volume ratio 1 could not be simulated (its body is 20 % off the' in loop.verdict
+    assert 'volume ratio 1 was left out (its body is 20 % off the' in loop.verdict
     assert settings.surroundings is not None
     assert settings.surroundings.volume_ratio == 0.0
     assert 'spherical tool' not in loop.misfits
-    assert 'spherical tool could not be simulated (the tool does not meet' in loop.verdict
+    assert 'spherical tool was left out (the tool does not meet' in loop.verdict
     # The clouds are looked at once.
     assert [seen for _, seen in given[:2]] == [None, None]
     assert all(seen is few for _, seen in given[2:])
