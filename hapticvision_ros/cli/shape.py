@@ -125,6 +125,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='links keep their directions, as if the push were small',
     )
     parser.add_argument(
+        '--links',
+        choices=('alike', 'even'),
+        default='alike',
+        help='alike: of one material; even: those that are stretched less come to a threshold or '
+        'a power with less force, so that the body does what the model says (default: alike)',
+    )
+    parser.add_argument(
         '--rounds',
         type=int,
         default=12,
@@ -326,6 +333,7 @@ def _settings(args: argparse.Namespace) -> 'ShapeSettings':
         sphere=args.sphere,
         surroundings=surroundings,
         rounds=args.rounds,
+        alike=args.links == 'alike',
     )
 
 

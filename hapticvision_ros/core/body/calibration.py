@@ -20,7 +20,15 @@ import math
 from typing import Final
 
 from hapticvision_ros.core.body.lattice import BoolArray, Lattice
-from hapticvision_ros.core.body.links import EFFECTS, Gauge, Geometry, link_law, LinkLaw, scaled
+from hapticvision_ros.core.body.links import (
+    EFFECTS,
+    Gauge,
+    Geometry,
+    link_law,
+    LinkLaw,
+    scaled,
+    Shares,
+)
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion, Touch
 from hapticvision_ros.core.body.simulation import Accuracy, BodyRun, Pressed, simulate
 from hapticvision_ros.core.composition import Model
@@ -36,6 +44,8 @@ _DASHPOTS: Final = LinkLaw(1e-3, 1e3, 1e15)
 _STEPS_OF_A_PUSH: Final = 16
 _STEPS_OF_A_TOUCH: Final = 64
 """The same where nodes come to the tool one by one."""
+_LOOKS: Final = (0.0, 0.125, 0.375, 0.625, 0.875, 1.0)
+"""Shares of the depth between which it is told how fast links are stretched."""
 _DOWN: Final = 0.99
 """Share of the depth at which a push is over."""
 _SLIGHT: Final = 0.02
@@ -119,6 +129,7 @@ def geometry(
     surroundings: Surroundings | None = None,
     *,
     growth: float = 0.0,
+    alike: bool = True,
 ) -> Geometry | None:
     """
     Return what makes good what a push does to the force of a body by the change of its shape.
@@ -135,6 +146,8 @@ def geometry(
         How deep [m].
     growth : float
         Exponent of the depth with which the force has to grow, as the m of `contact_growth`.
+    alike : bool
+        Whether links are alike everywhere, see `links.link_law`.
 
     Returns
     -------
@@ -155,7 +168,7 @@ def geometry(
     even = 1.0 / (_STEPS_OF_A_PUSH if level else _STEPS_OF_A_TOUCH)
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
     try:
-        run = simulate(lattice, _DASHPOTS, tool, push, around, accuracy=accuracy)
+        run = simulate(lattice, _DASHPOTS, tool, push, around, accuracy=accuracy, at=_LOOKS)
     except InputError:
         return None
     if not (run.force > 0.0).all():
@@ -166,8 +179,18 @@ def geometry(
     last = max(1.5 * ratio[-1] - 0.5 * ratio[-2], 0.5 * ratio[-1])
     at, share, ratio = np.append(at, depth), np.append(share, 1.0), np.append(ratio, last)
     # A slight push is known where all is touched at once, and else what is touched in the end.
-    half = np.sqrt((ratio[0] if level else last) / ratio)
-    return Geometry(at, half, half, share**2 if level else np.log(share))
+    made_good = (ratio[0] if level else last) / ratio
+    lag = share**2 if level else np.log(share)
+    if alike:
+        half = np.sqrt(made_good)
+        return Geometry(at, half, half, lag)
+    looks = depth * np.array(_LOOKS)
+    rates = [
+        body.stretches(*run.frames[k : k + 2], looks[k + 1] - looks[k])
+        for k in range(len(looks) - 1)
+    ]
+    shares = Shares(0.5 * (looks[1:] + looks[:-1]), np.stack(rates))
+    return Geometry(at, made_good, np.ones_like(at), lag, shares)
 
 
 def _without_friction(touch: Touch) -> Touch:
@@ -186,6 +209,7 @@ def calibrate(
     at: Sequence[float] = (),
     rounds: int = 4,
     accuracy: Accuracy | None = None,
+    alike: bool = True,
 ) -> Calibration:
     """
     Return links for which the body gives force and height of the identified model.
@@ -216,6 +240,8 @@ def calibrate(
         d_ref of the model [m]; the deepest point of the motion by default.
     rounds : int
         Runs at most.
+    alike : bool
+        Whether links are alike everywhere, see `links.link_law`.
 
     Raises
     ------
@@ -236,12 +262,18 @@ def calibrate(
         )
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, around, depth=deepest)
-    law = link_law(wanted, measure, reference_depth=depth)
+    law = link_law(wanted, measure, reference_depth=depth, alike=alike)
     grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     growth = [wanted[name] for name in grows]
+    known = None
     if growth or not (tool.sphere or (around.small and body.is_level)):
-        known = geometry(lattice, tool, deepest, around, growth=sum(growth))
-        law = replace(law, geometry=known)
+        # What a series spring holds does not go from link to link as shares change.
+        same = alike or 'series_spring' in carried.effects
+        known = geometry(lattice, tool, deepest, around, growth=sum(growth), alike=same)
+    if not alike and (known is None or known.shares is None):
+        slight = Shares(np.zeros(1), measure.shares[None])
+        known = replace(known or Geometry.none(), shares=slight)
+    law = replace(law, geometry=known)
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
     used = np.array([name in given for name in carried.names])
     names = [name for name in carried.names if name in given]

@@ -65,6 +65,12 @@ what e is for the volume of a cell, which does not flow; and what a link passes 
 its chain, and gives it of its stretch.
 """
 
+LEAST_INDEX = 0.6
+"""
+Exponent of the flow unit from which on Newton's method finds the nodes' positions from anywhere:
+of a force that goes with the rate to the power n a step from too high a rate x ends at
+(1 - 1 / n) x, which is farther off for n < 1/2. The slope is taken as if n were this there.
+"""
 _ITERATIONS = 40
 _TOLERANCE = 1e-6
 
@@ -151,6 +157,9 @@ def _general(stretch, z, z_max, q):  # type: ignore[no-untyped-def]
             change = 0.5 * (low + high) - u
         u += change
         force, slope = _retarded(u, z, z_max, q)
+    if q[POWER] * LEAST_INDEX > 1.0:
+        more = _flow(force, q)[1] / (q[POWER] * LEAST_INDEX)
+        ahead = 1.0 + (q[GIVE] + more) * slope
     return force, slope / ahead, u
 
 
@@ -178,6 +187,7 @@ def link_forces(  # type: ignore[no-untyped-def]
     weight,
     rest,
     pitch,
+    shares,
     q,
     z,
     z_max,
@@ -204,6 +214,9 @@ def link_forces(  # type: ignore[no-untyped-def]
         Of each link, and its length at rest [m].
     pitch : float
         [m]
+    shares : ndarray, shape (13, p), or (13, 0)
+        What the chain of a link is stretched by is its stretch over this, and its force times
+        this that of the link [-]; empty where both are the same.
     q : ndarray, shape (NUMBERS,)
         The law over this step.
     z, z_max, unit, ends : ndarray, shape (13, p) each, or (13, 0) where not needed
@@ -221,6 +234,7 @@ def link_forces(  # type: ignore[no-untyped-def]
     has_unit = unit.shape[1] > 0
     has_series = ends.shape[1] > 0
     has_most = z_max.shape[1] > 0
+    has_shares = shares.shape[1] > 0
     for k in range(offsets.size):
         off = offsets[k]
         for i in range(first, last):
@@ -248,6 +262,8 @@ def link_forces(  # type: ignore[no-untyped-def]
                 dy = (origin[1, j] - origin[1, i]) / rest[k, i]
                 dz = (origin[2, j] - origin[2, i]) / rest[k, i]
                 stretch = q[TAKEN] * ((bx - ax) * dx + (by - ay) * dy + (bz - az) * dz) / long
+            share = shares[k, i] if has_shares else 1.0
+            stretch /= share
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
             if has_series:
@@ -257,7 +273,7 @@ def link_forces(  # type: ignore[no-untyped-def]
             else:
                 most = z_max[k, i] if has_most else 0.0
                 force, slope, _ = _general(stretch, z[k, i], most, q)
-            force *= w * long * q[PASSED]
+            force *= w * long * share * q[PASSED]
             net[0, i] += force * dx
             net[1, i] += force * dy
             net[2, i] += force * dz
@@ -298,7 +314,7 @@ def link_forces(  # type: ignore[no-untyped-def]
 
 @kernel(error_model='numpy')
 def advance_links(  # type: ignore[no-untyped-def]
-    x0, x1, origin, first, last, offsets, weight, rest, pitch, q, z, z_max, unit, ends
+    x0, x1, origin, first, last, offsets, weight, rest, pitch, shares, q, z, z_max, unit, ends
 ):
     """Take the state of the links to the end of the step; return what their springs hold [J]."""
     plain = q[PLAIN] != 0.0
@@ -306,6 +322,7 @@ def advance_links(  # type: ignore[no-untyped-def]
     has_unit = unit.shape[1] > 0
     has_series = ends.shape[1] > 0
     has_most = z_max.shape[1] > 0
+    has_shares = shares.shape[1] > 0
     total = 0.0
     for k in range(offsets.size):
         off = offsets[k]
@@ -326,6 +343,8 @@ def advance_links(  # type: ignore[no-untyped-def]
                 for a in range(3):
                     along = q[TAKEN] * (origin[a, j] - origin[a, i]) / (rest[k, i] * long)
                     stretch += along * (x1[a, j] - x1[a, i] - x0[a, j] + x0[a, i])
+            share = shares[k, i] if has_shares else 1.0
+            stretch /= share
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
             if has_series:
@@ -348,7 +367,7 @@ def advance_links(  # type: ignore[no-untyped-def]
             if has_series:
                 ends[k, i] += q[SERIES_END] * (force - ends[k, i])
                 held += 0.5 * q[SERIES] * ends[k, i] * ends[k, i]
-            total += held * w * long * long
+            total += held * w * long * long * share * share
     return total * q[PASSED] / q[TAKEN]
 
 

@@ -41,6 +41,49 @@ EFFECTS: Final = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shares:
+    """
+    How fast a push stretches each link, in which its chain is then counted.
+
+    The chain of a link is stretched by the link's stretch over its share, and the link passes on
+    the chain's force times its share. So all chains are where that of the model is, whatever its
+    law, as long as links are stretched in these proportions; and forces in these proportions
+    balance, as those of dashpots do. Springs and dashpots are the same with it and without.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (m,)
+        Of the tool below its first touch [m].
+    of_links : ndarray, shape (m, 13, p)
+        Stretch of each link per depth, brought to the length of an edge, then; not zero [-].
+
+    """
+
+    depth: FloatArray
+    of_links: FloatArray
+
+    @property
+    def free(self) -> FloatArray:
+        """Return the shares where no tool touches: the mean of the way down."""
+        if self.depth.size == 1:
+            return np.asarray(self.of_links[0])
+        parts = np.diff(self.depth) / (self.depth[-1] - self.depth[0])
+        weights = 0.5 * (np.append(parts, 0.0) + np.append(0.0, parts))
+        return np.asarray(np.tensordot(weights, self.of_links, 1))
+
+    def at(self, depth: float) -> FloatArray:
+        """Return the shares where the tool is so deep [m]."""
+        after = int(np.searchsorted(self.depth, depth))
+        if after in (0, self.depth.size):
+            return np.asarray(self.of_links[min(after, self.depth.size - 1)])
+        first, last = self.depth[after - 1 : after + 1]
+        part = (depth - first) / (last - first)
+        return np.asarray(
+            (1.0 - part) * self.of_links[after - 1] + part * self.of_links[after]
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
     """
     What links make good of what a push does to the force of a body by its shape alone.
@@ -60,6 +103,8 @@ class Geometry:
         How the two may be turned against each other, ``exp(x lag)`` and ``exp(-x lag)``. What a
         link does now keeps its force; what it remembers of the way there counts for more or less:
         springs hold on to how links were stretched where the tool no longer stretches them [-].
+    shares : Shares or None
+        None for links that are alike everywhere, as of one material.
 
     """
 
@@ -67,6 +112,7 @@ class Geometry:
     force: FloatArray
     stretch: FloatArray
     lag: FloatArray
+    shares: Shares | None = None
 
     @classmethod
     def none(cls) -> 'Geometry':
@@ -81,7 +127,7 @@ class Geometry:
             np.interp(both, self.depth, one) for one in (self.force, self.stretch, self.lag)
         )
         turn = np.exp(turned * lag)
-        return Geometry(both, force * more * turn, stretch / turn, lag)
+        return Geometry(both, force * more * turn, stretch / turn, lag, self.shares)
 
     @property
     def free(self) -> float:
@@ -168,15 +214,24 @@ class Gauge:
     first_share : float
         Sum of the links' absolute stretches per depth, each brought to an edge and weighted by
         its weight and length [-]: the force of a body that flows everywhere at a threshold.
+    shares : ndarray, shape (13, p)
+        Stretch of each link per depth, brought to the length of an edge, not zero [-].
 
     """
 
     stiffness: float
     share: float
     first_share: float
+    shares: FloatArray
 
 
-def link_law(parameters: Mapping[str, float], gauge: Gauge, *, reference_depth: float) -> LinkLaw:
+def link_law(
+    parameters: Mapping[str, float],
+    gauge: Gauge,
+    *,
+    reference_depth: float,
+    alike: bool = True,
+) -> LinkLaw:
     """
     Return the links of a body that answers as identified, to first order.
 
@@ -192,15 +247,18 @@ def link_law(parameters: Mapping[str, float], gauge: Gauge, *, reference_depth: 
         From `calibration.gauge`.
     reference_depth : float
         d_ref of the model, the deepest push of the campaign [m].
+    alike : bool
+        Whether links are alike everywhere, as of one material; else each is counted in what a
+        push stretches it by (`Shares`), and so is this law.
 
     """
     scale = 1.0 / gauge.stiffness
-    share = gauge.share
+    share = gauge.share if alike else 1.0
     return LinkLaw(
         stiffness=parameters['K1'] * scale,
         bounce_viscosity=parameters['C1'] * scale,
         flow_viscosity=parameters['C2'] * scale,
-        yield_force=parameters.get('F_y', 0.0) / gauge.first_share,
+        yield_force=parameters.get('F_y', 0.0) * (1.0 / gauge.first_share if alike else scale),
         series_stiffness=parameters.get('K_0', math.inf) * scale,
         unit_stiffness=parameters.get('K_2', math.inf) * scale,
         unit_viscosity=parameters.get('C_3', math.inf) * scale,

@@ -43,6 +43,8 @@ import numpy as np
 _MODULUS: Final = 1.875
 """Young's modulus of the lattice times pitch over link stiffness."""
 _ITERATIONS: Final = 20
+_SLOW: Final = 0.01
+"""Rate over the reference rate of a power law at which cells still keep their volume."""
 _TURNED: Final = 0.02
 """Change of the friction in the last iteration, over the largest."""
 _POOR: Final = 0.3
@@ -66,6 +68,8 @@ _DAMPED: Final = 1.65
 """Largest weight of the end of a step of a series spring where friction is overcome; 2 is all."""
 _AT_ONCE: Final = 0.01
 """How far nodes are from the tool at the first touch that it touches at once, over the pitch."""
+_LEAST_SHARE: Final = 0.02
+"""A link that a slight push hardly stretches counts as stretched by this, over the mean."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
 _DRAG: Final = 1e-6
@@ -265,6 +269,7 @@ class Pressed:
             self.rest[k, there] = np.sqrt((span**2).sum(axis=0))
         self.origin = self.x0.copy() if surroundings.small else np.zeros((3, 0))
         empty = np.zeros((13, 0))
+        self.shares = empty
         self.z = np.zeros((13, length))
         self.z_max = np.zeros((13, length)) if law.damage > 0.0 else empty
         self.unit = np.zeros((13, length)) if math.isfinite(law.unit_stiffness) else empty
@@ -349,7 +354,10 @@ class Pressed:
         q[forces.AGAINST] = against
         q[forces.PLAIN] = float(law.plain)
         # The dashpot beside the spring of a cell keeps its volume where the tool is fast and the
-        # dashpots of the links carry more than their springs.
+        # dashpots of the links carry more than their springs. Where they thin, they carry more
+        # still as they slow down.
+        slow = law.flow_viscosity * _SLOW ** (law.flow_index - 1.0)
+        dashpots = 1.0 / (1.0 / max(law.bounce_viscosity, 1e-300) + 1.0 / slow)
         b = forces.fitted_weight(h * law.stiffness / dashpots)
         q[forces.CELL] = law.stiffness * b + dashpots / h
         return q
@@ -370,6 +378,7 @@ class Pressed:
             self.weight,
             self.rest,
             pitch,
+            self.shares,
             q,
             self.z,
             self.z_max,
@@ -469,10 +478,13 @@ class Pressed:
         if self.law.geometry is not None:
             deep = self.top - 0.5 * (before + height)
             q[[forces.PASSED, forces.TAKEN]] = self.law.geometry.at(deep)
+            shares = self.law.geometry.shares
             # A tool that goes up and down in the air by its noise changes nothing.
             if not touching:
                 free = self.law.geometry.free
                 q[[forces.PASSED, forces.TAKEN]] = 1.0 / free, free
+            if shares is not None:
+                self.shares = shares.at(deep) if touching else shares.free
         self._q = q
         # Mean forces that balance would turn what the ends leave out of balance, as on a node that
         # is let go, over in each step: it would ring. So the means leave what makes the ends
@@ -489,7 +501,8 @@ class Pressed:
             self.x1[:, self.place] += h * speed.T
         stale, last, moved = True, math.inf, math.inf
         settled = min(_SETTLED * accuracy.position, _CLOSE * self.lattice.pitch)
-        for iteration in range(_ITERATIONS * (3 if contact.slides else 1)):
+        slow = contact.slides or self.law.flow_index < forces.LEAST_INDEX
+        for iteration in range(_ITERATIONS * (3 if slow else 1)):
             net = self.evaluate(q, fill=stale)
             position = self.x1[:, self.place].T
             holds = contact.holds(start, position, before, height)
@@ -574,6 +587,7 @@ class Pressed:
             self.weight,
             self.rest,
             self.lattice.pitch,
+            self.shares,
             self._q,
             self.z,
             self.z_max,
@@ -627,18 +641,53 @@ class Pressed:
         self.x1[:] = self.x0
         force = -float(product[2, self.place[nodes]].sum(dtype=np.float64))
         inner = np.arange(*self.level.ends)
+        shares = self._stretches(self.x0, moved)
         energy = fourth = first = 0.0
-        for k, off in enumerate(self.level.offsets):
+        for k in range(len(self.level.offsets)):
             there = inner[self.weight[k, inner] > 0.0]
-            along = (self.x0[:, there + off] - self.x0[:, there]) / self.rest[k, there]
-            stretch = np.einsum('ij,ij->j', along, (moved[:, there + off] - moved[:, there]))
-            long = self.rest[k, there] / self.lattice.pitch
-            weight = self.weight[k, there] * long**2
-            edge = np.abs(stretch) / long
+            weight = self.weight[k, there] * (self.rest[k, there] / self.lattice.pitch) ** 2
+            edge = np.abs(shares[k, there])
             first += float((weight * edge).sum())
             energy += float((weight * edge**2).sum())
             fourth += float((weight * edge**4).sum())
-        return Gauge(force, math.sqrt(fourth / energy), first)
+        share = math.sqrt(fourth / energy)
+        return Gauge(force, share, first, _not_zero(shares, share))
+
+    def stretches(self, start: FloatArray, end: FloatArray, depth: float) -> FloatArray:
+        """
+        Return how fast links are stretched between two positions of the nodes.
+
+        Parameters
+        ----------
+        start, end : ndarray, shape (n, 3)
+            [m]
+        depth : float
+            By how much the tool went down in between [m].
+
+        Returns
+        -------
+        ndarray, shape (13, p)
+            Per depth, brought to the length of an edge, not zero [-].
+
+        """
+        at, moved = np.zeros_like(self.x0), np.zeros_like(self.x0)
+        at[:, self.place] = 0.5 * (start + end).T
+        moved[:, self.place] = (end - start).T
+        shares = self._stretches(self.x0 if self.surroundings.small else at, moved) / depth
+        there = self.weight > 0.0
+        return _not_zero(shares, float(np.sqrt(np.mean(shares[there] ** 2))))
+
+    def _stretches(self, at: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return by how much links get longer, brought to an edge, shape (13, p) [m]."""
+        found = np.ones_like(self.rest)
+        inner = np.arange(*self.level.ends)
+        for k, off in enumerate(self.level.offsets):
+            there = inner[self.weight[k, inner] > 0.0]
+            along = at[:, there + off] - at[:, there]
+            along /= np.sqrt((along**2).sum(axis=0))
+            longer = np.einsum('ij,ij->j', along, moved[:, there + off] - moved[:, there])
+            found[k, there] = longer / (self.rest[k, there] / self.lattice.pitch)
+        return found
 
     def face(self, depth: float) -> IndexArray:
         """Return the nodes under the tool's face; under a sphere, those that a push reaches."""
@@ -681,6 +730,11 @@ class Pressed:
         near = aside < tool.radius
         rise = tool.radius - np.sqrt(tool.radius**2 - aside[near] ** 2)
         return upper[near], points[upper[near], 2] - rise
+
+
+def _not_zero(shares: FloatArray, usual: float) -> FloatArray:
+    least = _LEAST_SHARE * usual
+    return np.where(np.abs(shares) < least, np.where(shares < 0.0, -least, least), shares)
 
 
 def _cell_shapes(lattice: Lattice) -> tuple[FloatArray, FloatArray]:

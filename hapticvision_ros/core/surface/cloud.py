@@ -30,7 +30,14 @@ from typing import Final, Literal
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.planning import plan_contact
-from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Segmentation, Signal
+from hapticvision_ros.core.records import (
+    CloudFrame,
+    Estimate,
+    FloatArray,
+    PointArray,
+    Segmentation,
+    Signal,
+)
 from hapticvision_ros.core.scene.body import Body, make_body
 from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane
 from hapticvision_ros.core.scene.settings import DEFAULT_PLANNING, PlanningSettings
@@ -52,6 +59,8 @@ _TOOL_BAND: Final = (0.003, 0.020)
 _ROUNDS: Final = 20
 _MOST_OF_TOOL: Final = 0.7
 """Less than this share of the returns in the band on one circle is no tool."""
+_WIDEST: Final = 1.0
+"""A circle of this radius is no tool's, but a wall that is nearly straight [m]."""
 _ROOM: Final = 0.01
 """How far beyond its outline and above its top the object may have been pressed [m]."""
 _FINEST: Final = 1e-3
@@ -144,6 +153,9 @@ class Observation:
         Bring the clouds before the push into the object's frame, ``p @ rotation.T + shift``.
     contact_source : {'given', 'tool', 'top view'}
         Where the tool's axis comes from.
+    tool_radius : Estimate
+        Of the circle that is seen above the object in the hold, whatever radius was given [m];
+        unknown where no circle is seen.
 
     """
 
@@ -153,6 +165,7 @@ class Observation:
     rotation: FloatArray
     shift: FloatArray
     contact_source: ContactSource
+    tool_radius: Estimate
 
 
 def usual_spacing(points: FloatArray) -> float:
@@ -282,13 +295,14 @@ def _taken_out(
     before = _levelled(groups[0], settings.planning)
     rotation, shift = before.rotation, before.shift
     source: ContactSource = 'given'
+    found, radius = None, Estimate.unknown('no cloud from the hold')
+    if hold.frames:
+        level = _levelled(hold, settings.planning)
+        found = _tool_axis(level, top, settings.tool_radius)
+        radius = _seen_radius(level, top)
     if contact is not None:
         contact = _moved(contact, rotation, shift)
     else:
-        found = None
-        if hold.frames:
-            level = _levelled(hold, settings.planning)
-            found = _tool_axis(level, top, settings.tool_radius)
         if found is not None:
             contact, source = found, 'tool'
         else:
@@ -326,7 +340,8 @@ def _taken_out(
     body = _topped(body, surface)
     to_frame = turn @ rotation
     moved = turn @ (shift - np.array([*contact, 0.0]))
-    return Observation(first, tuple(one.seen for one in seen[1:]), body, to_frame, moved, source)
+    after = tuple(one.seen for one in seen[1:])
+    return Observation(first, after, body, to_frame, moved, source, radius)
 
 
 def _topped(body: Body, surface: Surface) -> Body:
@@ -508,6 +523,53 @@ def _object_of(level: _Level, mask: _Mask, settings: CloudSettings) -> _Part:
     return _Part(seen, ground)
 
 
+def _tool_band(hold: _Level, top: float) -> FloatArray:
+    """Return the returns above the object in which the tool is."""
+    z = hold.points[:, 2] - max(top, hold.tool)
+    return np.asarray(hold.points[(z > _TOOL_BAND[0]) & (z < _TOOL_BAND[1])])
+
+
+def _seen_radius(hold: _Level, top: float) -> Estimate:
+    """Return the radius of the circle that the tool's returns are on [m]."""
+    points = _tool_band(hold, top)[:, :2]
+    none = Estimate.unknown('no circle is seen above the object in the hold')
+    if len(points) < _LEAST_POINTS:
+        return none
+    # The linear fit of a circle: a little small where noise is much of the arc, but a start.
+    middle = points.mean(axis=0)
+    away = points - middle
+    squares = np.einsum('ij,ij->i', away, away)
+    design = np.column_stack((2.0 * away, np.ones(len(away))))
+    start, _, rank, _ = np.linalg.lstsq(design, squares, rcond=None)
+    squared = float(start[2] + start[0] ** 2 + start[1] ** 2)
+    if rank < design.shape[1] or not squared > 0.0:
+        return none
+    centre, radius = middle + start[:2], math.sqrt(squared)
+    inside = np.ones(len(points), dtype=bool)
+    error = math.nan
+    for number in range(_ROUNDS):
+        away = points - centre
+        distance = np.maximum(np.hypot(*away.T), 1e-9)
+        residual = distance - radius
+        if number >= _ROUNDS // 2:
+            inside = np.abs(residual) < max(3.0 * hold.plane_noise, _FINEST)
+        if np.count_nonzero(inside) < max(_LEAST_POINTS, _MOST_OF_TOOL * len(points)):
+            return none
+        outward = away[inside] / distance[inside, None]
+        design = np.column_stack((outward, np.ones(len(outward))))
+        step, _, rank, _ = np.linalg.lstsq(design, residual[inside], rcond=None)
+        if rank < design.shape[1]:
+            return none
+        centre = centre + step[:2]
+        radius += float(step[2])
+        if not 0.0 < radius < _WIDEST:
+            return none
+        left = residual[inside] - design @ step
+        spread = float(left @ left) / max(len(left) - design.shape[1], 1)
+        error = math.sqrt(spread * float(np.linalg.inv(design.T @ design)[2, 2]))
+    return Estimate(radius, error)
+
+
 def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] | None:
     """
     Return x and y of the tool's axis from its own returns above the object; None without enough.
@@ -516,8 +578,7 @@ def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] |
     it sees a known piece of a circle. Above an object that a ball has been pressed into by less
     than its radius, the circle is as large as the ball is there, where that fits better.
     """
-    z = hold.points[:, 2] - max(top, hold.tool)
-    band = hold.points[(z > _TOOL_BAND[0]) & (z < _TOOL_BAND[1])]
+    band = _tool_band(hold, top)
     points = band[:, :2]
     if len(points) < _LEAST_POINTS:
         return None

@@ -36,7 +36,7 @@ from hapticvision_ros.core.fit.release import pressed_in
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Trial
 from hapticvision_ros.core.surface.cloud import CloudSettings, Observation, observe
 from hapticvision_ros.core.surface.compare import compare, Comparison, seen_triangles
-from hapticvision_ros.core.surface.deformation import Deformation, measure
+from hapticvision_ros.core.surface.deformation import Deformation, levels, measure
 from hapticvision_ros.core.surface.distance import nearest
 from hapticvision_ros.core.surface.mesh import Mesh
 import numpy as np
@@ -54,6 +54,16 @@ _COARSE: Final = 0.02
 _OTHER_SIZE: Final = 0.1
 """So is one that is seen to be off by more than this share, and by `_CELLS_OFF` of the map."""
 _CELLS_OFF: Final = 2.0
+_OTHER_RADIUS: Final = 0.05
+"""So is a tool that is seen to be of another radius by more than this share, and by `_SURE`."""
+_SURE: Final = 4.0
+"""Standard errors."""
+_OF_FACE: Final = 0.25
+"""A dent is as deep as the deepest cells of this share of the tool's face."""
+_CLEAR: Final = 8.0
+"""A dent is one from so many standard errors of a cell on."""
+_ASIDE: Final = 0.4
+"""A dent this far from the axis, in radii, and by `_CELLS_OFF` of the map, is beside it."""
 _TOP_SHARE: Final = 95.0
 """Percentile of the seen heights that is the height of a block."""
 _PLACINGS: Final = 5
@@ -95,6 +105,8 @@ class ShapeSettings:
         Friction, volume stiffness, weight.
     rounds : int
         Runs of the calibration at most.
+    alike : bool
+        Whether links are alike everywhere, see `links.link_law`.
     pictures : int
         Times beside those of the comparison at which the surface is kept, for an animation.
 
@@ -107,6 +119,7 @@ class ShapeSettings:
     sphere: bool = False
     surroundings: Surroundings | None = None
     rounds: int = 12
+    alike: bool = True
     pictures: int = 40
 
 
@@ -240,6 +253,7 @@ def study_shape(
         reference_depth=reference_depth,
         at=at.tolist(),
         rounds=settings.rounds,
+        alike=settings.alike,
     )
     tell('comparing surfaces and clouds')
     run = found.run
@@ -250,6 +264,13 @@ def study_shape(
     visible = seen_triangles(observed.before, rest)
     released = float(np.interp(phases.t_release or phases.t_end, run.t, run.tool))
     warnings = [_TOP_VIEW_NOTE] if observed.contact_source == 'top view' else []
+    warnings += _other_tool(observed, settings)
+    warnings += _dent_aside(observed, rest, surfaces[-1], settings.cloud.tool_radius)
+    if settings.cloud.average == 1:
+        warnings.append(
+            'a single frame at each time: its noise is taken from the support plane, in all '
+            'directions alike; --average 5 measures it'
+        )
     if observed.body.seen_share < _WELL_SEEN and settings.size is None:
         warnings.append(
             f'only {observed.body.seen_share:.0%} of the top of the object are seen: the rest was '
@@ -266,7 +287,7 @@ def study_shape(
         warnings += _other_size(observed, settings.size)
     if not settings.sphere and under < _FEW_NODES:
         warnings.append(
-            f"the tool's face has only {under} nodes in cells of {1e3 * lattice.pitch:.3g} mm: "
+            f"the tool's face has only {under} node{'s' * (under > 1)} in cells of {1e3 * lattice.pitch:.3g} mm: "
             'choose a smaller --cell'
         )
     if surroundings.density > 0.0 and 'yield_force' not in model.effects:
@@ -308,6 +329,46 @@ def study_shape(
         ),
         warnings=tuple(warnings),
     )
+
+
+def _other_tool(observed: Observation, settings: ShapeSettings) -> list[str]:
+    """Return a warning where a tool of another radius is seen."""
+    seen, told = observed.tool_radius, settings.cloud.tool_radius
+    if seen.value is None or seen.std is None:
+        return []
+    # A ball that is not in by its radius is smaller where it is seen.
+    larger_only = settings.sphere
+    off = seen.value - told
+    if abs(off) <= max(_OTHER_RADIUS * told, _SURE * seen.std) or (larger_only and off < 0.0):
+        return []
+    return [
+        f'above the object a tool of {1e3 * seen.value:.3g} mm radius is seen in the hold, not of '
+        f'the {1e3 * told:.3g} mm that were given: the axis is off by about as much; check '
+        '--tool-radius'
+    ]
+
+
+def _dent_aside(observed: Observation, rest: Mesh, last: Mesh, radius: float) -> list[str]:
+    """Return a warning where the dent is not under the tool's axis."""
+    maps = levels(observed, rest, last)
+    lower = np.where(maps.seen, -maps.measured, -np.inf)
+    face = math.pi * (radius / maps.cell) ** 2
+    count = max(round(_OF_FACE * face), 1)
+    if np.count_nonzero(maps.seen) <= count:
+        return []
+    # As deep as a part of what the tool covers: no single return decides.
+    deep = float(np.sort(lower[maps.seen])[-count])
+    if deep < _CLEAR * math.sqrt(float(np.median(maps.variance[maps.seen]))):
+        return []
+    x, y = maps.middles
+    there = lower > 0.5 * deep
+    aside = math.hypot(float(np.median(x[there])), float(np.median(y[there])))
+    if aside <= max(_ASIDE * radius, _CELLS_OFF * maps.cell):
+        return []
+    return [
+        f'the dent is {1e3 * aside:.3g} mm beside the axis of the tool: check --tool-radius and '
+        '--contact'
+    ]
 
 
 def _other_size(observed: Observation, size: tuple[float, float, float]) -> list[str]:
