@@ -170,7 +170,7 @@ def growth(pitches: list[float], depth: float) -> None:
         before = nodes, cpu
 
 
-def match(pitch: float, depth: float, rounds: int) -> None:
+def match(pitch: float, depth: float, rounds: int, *, alike: bool) -> None:
     """Print how well calibrated bodies agree with the model in one dimension."""
     body = box(SIZE, pitch)
     print('model | kinematics | rounds | force % | height % | recovered over identified')
@@ -186,6 +186,7 @@ def match(pitch: float, depth: float, rounds: int) -> None:
                 motion(depth),
                 Surroundings(small=small),
                 rounds=rounds,
+                alike=alike,
             )
             ratios = ', '.join(
                 f'{name} {value / identified[name]:.4f}' for name, value in found.recovered.items()
@@ -198,7 +199,13 @@ def match(pitch: float, depth: float, rounds: int) -> None:
 
 
 def deep(
-    pitch: float, depths: list[float], rounds: int, ratio: float, *, calibrated: bool
+    pitch: float,
+    depths: list[float],
+    rounds: int,
+    ratio: float,
+    *,
+    calibrated: bool,
+    alike: bool,
 ) -> None:
     """Print what a deep push does to the force of a body of dashpots, and to the match."""
     body, around = box(SIZE, pitch), Surroundings(volume_ratio=ratio)
@@ -212,13 +219,22 @@ def deep(
         line += [f'{np.interp(depth, alone.depth, alone.force) ** -2:.3f}']
         for model in chosen if calibrated else []:
             found = calibrate(
-                body, model, parameters(depth), TOOL, motion(depth), around, rounds=rounds
+                body,
+                model,
+                parameters(depth),
+                TOOL,
+                motion(depth),
+                around,
+                rounds=rounds,
+                alike=alike,
             )
             line += [f'{100 * found.force_misfit:.2f}, {100 * found.height_misfit:.2f}']
         print(' | '.join(line), flush=True)
 
 
-def ball(pitches: list[float], depth: float, radii: list[float], rounds: int) -> None:
+def ball(
+    pitches: list[float], depth: float, radii: list[float], rounds: int, *, alike: bool
+) -> None:
     """Print how well bodies under a ball, whose contact grows by nodes, agree with the model."""
     model = Model(('contact_growth',))
     given = parameters(depth) | {'m': 0.5}
@@ -226,7 +242,8 @@ def ball(pitches: list[float], depth: float, radii: list[float], rounds: int) ->
     for radius in radii:
         for pitch in pitches:
             tool = Tool(radius, 0.0, 0.0, sphere=True)
-            found = calibrate(box(SIZE, pitch), model, given, tool, motion(depth), rounds=rounds)
+            body = box(SIZE, pitch)
+            found = calibrate(body, model, given, tool, motion(depth), rounds=rounds, alike=alike)
             print(
                 f'{1e3 * radius:g} | {1e3 * pitch:.3g} | {found.run.touching.max()} | '
                 f'{100 * found.force_misfit:.2f} | {100 * found.height_misfit:.2f} | '
@@ -262,7 +279,7 @@ def maps() -> dict[str, FloatArray]:
     }
 
 
-def shapes(pitch: float, depths: list[float], rounds: int) -> None:
+def shapes(pitch: float, depths: list[float], rounds: int, *, alike: bool) -> None:
     """Print how well objects whose top is not level agree with the model under a flat tool."""
     print('object | depth mm | model | nodes | rounds | force % | height %')
     for name, heights in maps().items():
@@ -274,7 +291,8 @@ def shapes(pitch: float, depths: list[float], rounds: int) -> None:
                 path = ToolMotion.trial(
                     top, depth=depth, push_speed=2e-3, hold=20.0, recovery=20.0
                 )
-                found = calibrate(body, model, parameters(depth), TOOL, path, rounds=rounds)
+                given = parameters(depth)
+                found = calibrate(body, model, given, TOOL, path, rounds=rounds, alike=alike)
                 print(
                     f'{name} | {1e3 * depth:g} | {model.name} | {len(body.points)} | '
                     f'{found.rounds} | {100 * found.force_misfit:.2f} | '
@@ -356,7 +374,9 @@ def main() -> int:
     parser.add_argument('--radius-mm', type=float, nargs='+', default=[12.6], help='of a ball')
     parser.add_argument('--volume-ratio', type=float, default=14.0, help='of the geometry')
     parser.add_argument('--bare', action='store_true', help='of the geometry only, uncalibrated')
+    parser.add_argument('--links', choices=('alike', 'even'), default='alike')
     arguments = parser.parse_args()
+    alike = arguments.links == 'alike'
     depths = [1e-3 * d for d in arguments.depth_mm]
     depth = depths[0]
     pitches = [1e-3 * p for p in arguments.pitch_mm]
@@ -366,18 +386,18 @@ def main() -> int:
         growth(pitches, depth)
     elif arguments.what == 'geometry':
         ratio, calibrated = arguments.volume_ratio, not arguments.bare
-        deep(pitches[0], depths, arguments.rounds, ratio, calibrated=calibrated)
+        deep(pitches[0], depths, arguments.rounds, ratio, calibrated=calibrated, alike=alike)
     elif arguments.what == 'ball':
         radii = [1e-3 * r for r in arguments.radius_mm]
-        ball(pitches, depth, radii, arguments.rounds)
+        ball(pitches, depth, radii, arguments.rounds, alike=alike)
     elif arguments.what == 'shapes':
-        shapes(pitches[0], depths, arguments.rounds)
+        shapes(pitches[0], depths, arguments.rounds, alike=alike)
     elif arguments.what == 'edge':
         edge(pitches, depth)
     elif arguments.what == 'explicit':
         explicit(pitches[0], depth, [4e-3, 1e-3, 2.5e-4])
     else:
-        match(pitches[0], depth, arguments.rounds)
+        match(pitches[0], depth, arguments.rounds, alike=alike)
     return 0
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Fit,
         fit,
         haptic,
+        HapticStepper,
         Model,
         profile_intervals,
         Specimen,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     'Campaign',
     'Fit',
+    'HapticStepper',
     'Model',
     'Specimen',
     'Trial',

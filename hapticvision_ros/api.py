@@ -201,7 +201,7 @@ def export(
     ----------
     result : Fit
         The fit.
-    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco'}
+    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco', 'haptic'}
         The format.
     specimen, poisson, shortest_time, point : optional
         See `hapticvision_ros.core.export.export`.
@@ -226,6 +226,7 @@ def export(
         shortest_time=shortest_time,
         point=point,
         correlation=result.correlation,
+        reference_depth=result.problem.trials[0].reference_depth,
     )
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hapticvision_ros.core.export import Specimen
     from hapticvision_ros.core.records import Estimate, FloatArray
 
-FORMATS = ('json', 'csv', 'abaqus', 'ansys', 'mujoco')
+FORMATS = ('json', 'csv', 'abaqus', 'ansys', 'mujoco', 'haptic')
 POINTS = ('rest', 'reference')
 RESULT_SCHEMA = 'hapticvision/result/1'
 
@@ -48,7 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--format',
         choices=FORMATS,
         required=True,
-        help='json: all forms; csv: relaxation function; abaqus, ansys: Prony series; mujoco',
+        help='json: all forms; csv: relaxation function; abaqus, ansys: Prony series; mujoco; '
+        'haptic: a step function in Python for a haptic renderer, 1 ms a step',
     )
     parser.add_argument(
         '--which',
@@ -96,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         shortest_time=args.shortest_time,
         point=args.linearise,
         correlation=correlation,
+        reference_depth=deepest(args.result) if args.format == 'haptic' else None,
         source=args.result.name,
     )
     if args.out is None:

@@ -44,6 +44,10 @@ _MOST_FRAMES: Final = 100
 _OF_A_LOOK: Final = re.compile(r'(surface|cloud)_\d+\.(ply|vtk)')
 _MM: Final = 1e-3
 _LEAST_HELD_OUT: Final = 2
+_WIDEST_TOOL: Final = 1.0
+"""A tool of a larger radius is a slip of the unit [m]."""
+_STIFFEST: Final = 1e3
+"""A volume that is stiffer than this, over Young's modulus, is one that the solver loses."""
 _MOST_TURNS: Final = 3
 
 
@@ -212,7 +216,7 @@ def _done(
     identified: Identified,
 ) -> dict[str, Any]:
     """Write what was found of a bag, print it, and return its row of the table."""
-    from hapticvision_ros.core.surface.document import shape_document
+    from hapticvision_ros.core.surface.document import PAIRS, shape_document
     from hapticvision_ros.report.shape import files, render_shape
     from hapticvision_ros.report.writing import write_whole
 
@@ -248,8 +252,12 @@ def _done(
         'bag': str(bag),
         'push_speed_m_s': study.phases.push_speed,
         'depth_m': study.phases.depth,
-        **{name: document[name] for name in ('bouncing_m', 'residual_m')},
-        **{name: last[name] for name in ('rms_m', 'noise_m', 'percentile_95_m')},
+        **{f'{name}_{unit}': document[f'{name}_{unit}'] for name, unit, _ in PAIRS},
+        **{
+            name: last[name]
+            for name in ('rms_m', 'noise_m', 'percentile_95_m', 'largest_m', 'hausdorff_m')
+        },
+        'warnings': document['warnings'],
     }
 
 
@@ -294,6 +302,11 @@ def _check(args: argparse.Namespace) -> None:
             f'--close-loop: a bag is held out, so give {_LEAST_HELD_OUT} or more, not '
             f'{len(args.bags)}.'
         )
+    if args.volume_ratio is not None and _STIFFEST < args.volume_ratio < math.inf:
+        raise UsageError(
+            f'--volume-ratio {args.volume_ratio:g}: up to {_STIFFEST:g}; a body that keeps its '
+            'volume has about 14.'
+        )
     if args.rounds < 1:
         raise UsageError(f'--rounds {args.rounds}: one run or more.')
     if not 1 <= args.average <= _MOST_FRAMES:
@@ -309,6 +322,10 @@ def _check(args: argparse.Namespace) -> None:
 def _settings(args: argparse.Namespace) -> 'ShapeSettings':
     """Return what the arguments ask for."""
     radius = quantity('--tool-radius', args.tool_radius, LENGTH_UNITS, 'm', '0.0126 or 12.6mm')
+    if radius > _WIDEST_TOOL:
+        raise UsageError(
+            f"--tool-radius '{args.tool_radius}' is {radius:g} m: write millimetres as 12.6mm."
+        )
     pitch = None
     if args.cell is not None:
         pitch = quantity('--cell', args.cell, LENGTH_UNITS, 'm', '0.005 or 5mm')
@@ -358,6 +375,7 @@ def _closed(
     """Return what the shapes ask for, one thing after the other, and with what to simulate."""
     from hapticvision_ros.core.surface.loop import close_loop
 
+    _differ(bags)
     documents = []
     for turn in range(_MOST_TURNS):
         loop, asked = close_loop(
@@ -399,6 +417,22 @@ def _closed(
             print('\n'.join(f'{one}.' for one in (_anew(identified), *identified.warnings)) + '\n')
         settings = asked
     return documents, settings
+
+
+def _differ(bags: Sequence[Path]) -> None:
+    """Refuse trials of which one is a copy of another: it would be held out of itself."""
+    from hapticvision_ros.bag.reader import read_trial
+
+    seen: dict[bytes, Path] = {}
+    for bag in bags:
+        force = read_trial(bag).force
+        mark = force.t.tobytes() + force.value.tobytes()
+        if mark in seen:
+            raise InputError(
+                f'{bag} is the same trial as {seen[mark]}: nothing of it is held out of the '
+                'other; give different trials.'
+            )
+        seen[mark] = bag
 
 
 def _fitted_anew(of_tip: ByTip) -> dict[str, Any] | None:

@@ -50,7 +50,7 @@ from hapticvision_ros.core.relaxation import (
 )
 import numpy as np
 
-type Format = Literal['json', 'csv', 'abaqus', 'ansys', 'mujoco']
+type Format = Literal['json', 'csv', 'abaqus', 'ansys', 'mujoco', 'haptic']
 
 SCHEMA: Final = 'hapticvision/export/1'
 
@@ -691,6 +691,99 @@ def mujoco(model: Model, parameters: Mapping[str, float]) -> str:
     return '\n'.join(lines) + '\n'
 
 
+_STEP_FUNCTION: Final = '''\
+#!/usr/bin/env python3
+"""
+{model}, from {source}: displacement in, force out, a millisecond a step.
+
+Import `stepper` into a renderer, or run the file: it reads the displacement of the tool beyond the
+undeformed surface from its input, a number a line [m], and prints the force over the millisecond
+in which the tool goes there, a number a line [N].
+"""
+
+import math
+import sys
+
+from hapticvision_ros import HapticStepper, Model
+
+MODEL = {model!r}
+PARAMETERS = {{
+{parameters}
+}}
+"""In SI units."""
+REFERENCE_DEPTH = {reference_depth!r}
+"""Of the deepest push that was fitted [m]."""
+
+
+def stepper() -> HapticStepper:
+    """Return the body, untouched; its step(displacement, dt=0.001) returns the force."""
+    return HapticStepper(Model.parse(MODEL), PARAMETERS, reference_depth=REFERENCE_DEPTH)
+
+
+def main() -> int:
+    """Answer displacements with forces until the input ends."""
+    body = stepper()
+    for number, line in enumerate(sys.stdin, 1):
+        try:
+            displacement = float(line)
+        except ValueError:
+            displacement = math.nan
+        if not math.isfinite(displacement):
+            print(f'line {{number}} is no finite number: {{line.strip()}}', file=sys.stderr)
+            return 2
+        print(body.step(displacement), flush=True)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
+'''
+
+
+def step_function(
+    model: Model,
+    parameters: Mapping[str, float],
+    reference_depth: float | None,
+    source: str,
+) -> str:
+    """
+    Return a Python file with the model as a step function (`hapticvision_ros.core.haptic`).
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    parameters : mapping of str to float
+        Its parameters in SI units, by name.
+    reference_depth : float or None
+        Depth of the deepest push of the campaign [m].
+    source : str
+        What was fitted.
+
+    Returns
+    -------
+    str
+        A module that needs this package and can be run.
+
+    Raises
+    ------
+    UsageError
+        If the model cannot be taken step by step.
+
+    """
+    from hapticvision_ros.core.haptic import HapticStepper
+
+    # Refuses what it cannot hold.
+    HapticStepper(model, parameters, reference_depth=reference_depth)
+    lines = [f'    {name!r}: {float(parameters[name])!r},' for name in model.names]
+    return _STEP_FUNCTION.format(
+        model=model.name,
+        source=source,
+        parameters='\n'.join(lines),
+        reference_depth=reference_depth,
+    )
+
+
 def export(
     form: Format,
     model: Model,
@@ -701,6 +794,7 @@ def export(
     shortest_time: float | None = None,
     point: Point | None = None,
     correlation: FloatArray | None = None,
+    reference_depth: float | None = None,
     source: str = 'hapticvision_ros',
 ) -> str:
     """
@@ -708,9 +802,9 @@ def export(
 
     Parameters
     ----------
-    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco'}
+    form : {'json', 'csv', 'abaqus', 'ansys', 'mujoco', 'haptic'}
         All forms as JSON, the relaxation function as a table, a Prony series for one of two
-        finite-element codes, or a MuJoCo model.
+        finite-element codes, a MuJoCo model, or a step function in Python for a haptic renderer.
     model : Model
         The model.
     parameters : mapping of str to Estimate
@@ -725,8 +819,11 @@ def export(
         Where a nonlinear model is linearised.
     correlation : ndarray, shape (p, p), optional
         Of the parameters, in the order of the model, for the standard errors of the terms.
+    reference_depth : float, optional
+        Depth of the deepest push of the campaign [m]; a step function of damage or of a contact
+        that grows counts from it.
     source : str
-        What to name as the source of a Prony series.
+        What to name as the source of a Prony series or a step function.
 
     Returns
     -------
@@ -745,6 +842,8 @@ def export(
     values = known_values(model, parameters)
     if form == 'mujoco':
         return mujoco(model, values)
+    if form == 'haptic':
+        return step_function(model, values, reference_depth, source)
     relaxation = relaxation_function(model, values, point)
     covariance = covariance_of(model, parameters, correlation)
     if form == 'csv':

@@ -33,17 +33,16 @@ from hapticvision_ros.report.shape_gif import gif
 from hapticvision_ros.report.shape_picture import (
     below,
     beside,
+    captioned,
     colour_bar,
     coloured,
     draw,
     draw_with_tool,
     palette,
-    Picture,
     png,
     ramp,
     Shape,
     tool_mesh,
-    write,
 )
 import numpy as np
 
@@ -163,18 +162,21 @@ def comparison_picture(study: ShapeStudy) -> ColourArray:
         normals = np.broadcast_to(view.toward, seen.points.shape)
         dot = math.ceil(1.4 * seen.spacing * view.scale)
         error = draw(Shape(seen.points, normals, compared.distance), view, -limit, limit, dot=dot)
-        _label(cloud, f'measured, {name}')
-        _label(mesh, f'simulated, {name}')
-        _label(
-            error,
+        told = (
             f'measured - simulated: rms {1e3 * compared.rms:.2f} mm, noise '
-            f'{1e3 * compared.noise:.2f} mm',
+            f'{1e3 * compared.noise:.2f} mm'
         )
         strips.append(
-            beside([coloured(cloud, 'height'), coloured(mesh, 'height'), coloured(error, 'error')])
+            beside(
+                [
+                    coloured(captioned(cloud, f'measured, {name}'), 'height'),
+                    coloured(captioned(mesh, f'simulated, {name}'), 'height'),
+                    coloured(captioned(error, told), 'error'),
+                ]
+            )
         )
     bar = colour_bar(2 * _WIDTH, low, top, 'mm height', factor=1e3)
-    other = colour_bar(_WIDTH, -limit, limit, 'mm', factor=1e3)
+    other = colour_bar(_WIDTH, -limit, limit, 'mm', factor=1e3, open_ended=True)
     strips.append(beside([coloured(bar, 'height'), coloured(other, 'error')]))
     return below(strips)
 
@@ -183,10 +185,6 @@ def _dent_floor(surface: Mesh) -> float:
     """Return the lowest height of what looks up [m]."""
     upper = surface.centres[surface.normals[:, 2] > 0.5]
     return float(upper[:, 2].min()) if len(upper) else 0.0
-
-
-def _label(picture: Picture, text: str) -> None:
-    write(picture, text, 8, 16, size=0.42)
 
 
 def animation(study: ShapeStudy) -> bytes:
@@ -216,9 +214,9 @@ def animation(study: ShapeStudy) -> bytes:
             0.0,
             deepest,
         )
-        _label(picture, f'{t - (study.phases.t_contact or 0.0):.2f} s, {_phase(study, t)}')
+        told = f'{t - (study.phases.t_contact or 0.0):.2f} s, {_phase(study, t)}'
         bar = colour_bar(_WIDTH, 0.0, deepest, 'mm lower', factor=1e3)
-        pictures.append(np.concatenate((picture, bar)))
+        pictures.append(np.concatenate((captioned(picture, told), bar)))
     return gif(pictures, palette('depth'), _SECONDS_A_PICTURE)
 
 

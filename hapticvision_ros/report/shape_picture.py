@@ -41,6 +41,11 @@ type RampName = Literal['height', 'depth', 'error']
 
 _STEPS: Final = 31
 _SHADES: Final = 7
+_STEPS_OF_TEXT: Final = 8
+_FINER: Final = 4
+"""Letters are drawn so much larger, and made smaller again: without it no point is seen."""
+_CAPTION: Final = 24
+"""Height of a line of text over a picture [pixels]."""
 _DARKEST: Final = 0.45
 _LIGHT: Final = np.array([-0.35, -0.45, 0.82])
 """Where the light comes from, as seen by the viewer: left, above, in front."""
@@ -61,6 +66,8 @@ class Grey(IntEnum):
     SOFT = PAGE + 2
     TOOL = PAGE + 3
     """The first of seven shades."""
+    TEXT = TOOL + _SHADES
+    """The first of eight steps from page to ink, for the edges of letters."""
 
 
 _GREYS: Final = {Grey.PAGE: (255, 255, 255), Grey.INK: (29, 33, 38), Grey.SOFT: (200, 205, 210)}
@@ -82,6 +89,9 @@ def palette(name: RampName) -> ColourArray:
         colours[grey] = colour
     tool = slice(Grey.TOOL, Grey.TOOL + _SHADES)
     colours[tool] = shades[:, None] * _TOOL
+    share = np.linspace(0.0, 1.0, _STEPS_OF_TEXT)[:, None]
+    text = slice(Grey.TEXT, Grey.TEXT + _STEPS_OF_TEXT)
+    colours[text] = (1.0 - share) * _GREYS[Grey.PAGE] + share * _GREYS[Grey.INK]
     return np.rint(colours).astype(np.uint8)
 
 
@@ -258,29 +268,46 @@ def _turned(radius: float, tip: float, length: float, sides: int) -> Mesh:
     return Mesh(points, np.concatenate(triangles))
 
 
-def write(picture: Picture, text: str, column: int, row: int, *, size: float = 0.45) -> None:
-    """Write a line of plain text into a picture, its left end at a place [pixels]."""
+def captioned(picture: Picture, text: str) -> Picture:
+    """Return a picture with a line of plain text over it."""
+    strip = np.full((_CAPTION, picture.shape[1]), Grey.PAGE, np.uint8)
+    _write(strip, text, 8, _CAPTION - 7)
+    return np.concatenate((strip, picture))
+
+
+def _write(picture: Picture, text: str, column: int, row: int, *, size: float = 0.45) -> None:
+    """Write a line of plain text onto a page, its left end at a place [pixels]."""
     import cv2
 
     plain = text.encode('ascii', 'replace').decode()
-    cv2.putText(picture, plain, (column, row), cv2.FONT_HERSHEY_SIMPLEX, size, int(Grey.INK), 1)
+    large = np.zeros([_FINER * side for side in picture.shape], np.uint8)
+    place = _FINER * column, _FINER * row
+    cv2.putText(
+        large, plain, place, cv2.FONT_HERSHEY_SIMPLEX, _FINER * size, 255, _FINER + 1, cv2.LINE_AA
+    )
+    rows, columns = picture.shape
+    ink = cv2.resize(large, (columns, rows), interpolation=cv2.INTER_AREA)
+    step = np.rint(ink.astype(np.float64) / 255.0 * (_STEPS_OF_TEXT - 1)).astype(np.uint8)
+    picture[step > 0] = Grey.TEXT + step[step > 0]
 
 
-def colour_bar(width: int, low: float, high: float, unit: str, *, factor: float) -> Picture:
-    """Return a bar of the ramp with its ends and its middle in numbers."""
+def colour_bar(
+    width: int, low: float, high: float, unit: str, *, factor: float, open_ended: bool = False
+) -> Picture:
+    """Return a bar of the ramp with its ends and its middle in numbers, and what is beyond."""
     bar = np.full((38, width), Grey.PAGE, np.uint8)
     left, right = 14, width - 14
     steps = np.linspace(0, _STEPS - 1, right - left).round().astype(np.intp)
     bar[4:16, left:right] = steps * _SHADES + _SHADES - 1
     for share, text in (
-        (0.0, f'{factor * low:.3g}'),
+        (0.0, f'{"<= " if open_ended else ""}{factor * low:.3g}'),
         (0.5, f'{factor * 0.5 * (low + high):.3g}'),
-        (1.0, f'{factor * high:.3g} {unit}'),
+        (1.0, f'{">= " if open_ended else ""}{factor * high:.3g} {unit}'),
     ):
         place = (
             left + share * (right - left) - 4 * len(text) * (1.0 + (share == 1.0)) * (share > 0)
         )
-        write(bar, text, int(max(place, 2)), 32, size=0.4)
+        _write(bar, text, int(max(place, 2)), 32, size=0.4)
     return bar
 
 

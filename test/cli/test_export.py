@@ -223,3 +223,37 @@ def test_a_stepper_from_a_result_is_that_of_the_fit(tmp_path: Path) -> None:
     assert haptic(tmp_path / 'result.json', which='before').step(0.001) > 0.0
     with pytest.raises(InputError, match='cannot be read'):
         haptic(str(tmp_path / 'no_result.json'))
+
+
+def test_step_function_runs_on_its_own(result: Path, tmp_path: Path) -> None:
+    document = json.loads(result.read_text())
+    document['trials'] = [{'depth_m': 0.008}]
+    result.write_text(json.dumps(document))
+    written = tmp_path / 'body.py'
+    assert main(['export', str(result), '--format', 'haptic', '--out', str(written)]) == 0
+    way = np.linspace(0.0, 0.008, 200)
+    body = haptic(result)
+    told = [body.step(float(displacement)) for displacement in way]
+    lines = '\n'.join(repr(float(displacement)) for displacement in way)
+    done = subprocess.run(
+        [sys.executable, str(written)], input=lines, capture_output=True, text=True, check=True
+    )
+    np.testing.assert_array_equal([float(line) for line in done.stdout.split()], told)
+    assert max(told) > 1.0
+    for wrong in ('deep', 'nan'):
+        done = subprocess.run(
+            [sys.executable, str(written)],
+            check=False,
+            input=f'0.001\n{wrong}\n',
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 2
+        assert done.stderr == f'line 2 is no finite number: {wrong}\n'
+
+
+def test_step_function_needs_all_parameters(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(result), '--format', 'haptic', '--which', 'before']) == 2
+    assert 'C2' in capsys.readouterr().err

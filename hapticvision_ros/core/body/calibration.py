@@ -251,7 +251,7 @@ def calibrate(
 
     """
     around = surroundings or Surroundings()
-    carried, wanted = _carried(model, parameters, tool)
+    alone, wanted = carried(model, parameters, tool)
     target = np.array(list(wanted.values()))
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
     top = body.top
@@ -263,20 +263,20 @@ def calibrate(
     depth = reference_depth or deepest
     measure = gauge(lattice, tool, around, depth=deepest)
     law = link_law(wanted, measure, reference_depth=depth, alike=alike)
-    grows = {p.symbol for e in carried.declared if e.name == _OF_A_SPHERE for p in e.parameters}
+    grows = {p.symbol for e in alone.declared if e.name == _OF_A_SPHERE for p in e.parameters}
     growth = [wanted[name] for name in grows]
     known = None
     if growth or not (tool.sphere or (around.small and body.is_level)):
         # What a series spring holds does not go from link to link as shares change.
-        same = alike or 'series_spring' in carried.effects
+        same = alike or 'series_spring' in alone.effects
         known = geometry(lattice, tool, deepest, around, growth=sum(growth), alike=same)
     if not alike and (known is None or known.shares is None):
         slight = Shares(np.zeros(1), measure.shares[None])
         known = replace(known or Geometry.none(), shares=slight)
     law = replace(law, geometry=known)
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
-    used = np.array([name in given for name in carried.names])
-    names = [name for name in carried.names if name in given]
+    used = np.array([name in given for name in alone.names])
+    names = [name for name in alone.names if name in given]
     # Under a sphere a model without the growth of its contact is not to be made right by force.
     learnable = not tool.sphere or bool(grows)
     damping, learns = 1.0, False
@@ -303,7 +303,7 @@ def calibrate(
         trial = _Driven(run.t, top - run.tool, run.t, depth)
         # A recorded tool is not quite still in the hold.
         pushed = int(np.argmax(top - run.tool >= _DOWN * (top - run.tool.min())))
-        misses = _Misses(carried, trial, run, motion.corners, sum(growth))
+        misses = _Misses(alone, trial, run, motion.corners, sum(growth))
         found = _Round(law, run, misses, target, used, pushed)
         better = best is None or found.cost < best.cost
         before = math.inf if best is None else best.cost
@@ -328,14 +328,22 @@ def calibrate(
                 damping, learns = 1.0, True
     if best is None:
         raise InputError('a calibration has at least one round: ask for one or more')
-    recovered = dict(zip(carried.names, (float(v) for v in best.misses.fit(target)), strict=True))
+    recovered = dict(zip(alone.names, (float(v) for v in best.misses.fit(target)), strict=True))
     return Calibration(best.law, best.run, recovered, *best.off, done)
 
 
-def _carried(
+def carried(
     model: Model, parameters: Mapping[str, float], tool: Tool
 ) -> tuple[Model, dict[str, float]]:
-    """Return the model of the object alone, and its numbers; refuse what no link can be."""
+    """
+    Return the model of the object alone, and its numbers.
+
+    Raises
+    ------
+    InputError
+        If the model has an effect of the object, or a number, that no link can have.
+
+    """
     effects = (*EFFECTS, _OF_A_SPHERE) if tool.sphere else EFFECTS
     strange = [e.name for e in model.declared if e.kind == 'object' and e.name not in effects]
     if strange:
@@ -344,15 +352,15 @@ def _carried(
             f'no link can carry {", ".join(strange)}: simulate the shape with a model of '
             f'{", ".join(EFFECTS)} only{tip}'
         )
-    carried = Model(tuple(name for name in model.effects if name in effects))
-    wanted = {name: parameters[name] for name in carried.names}
+    alone = Model(tuple(name for name in model.effects if name in effects))
+    wanted = {name: parameters[name] for name in alone.names}
     bad = next((name for name, value in wanted.items() if not 0.0 <= value < math.inf), None)
     if bad is not None or min(wanted['K1'], wanted['C2']) <= 0.0:
         bad = bad or ('K1' if wanted['K1'] <= 0.0 else 'C2')
         raise InputError(
             f'{bad} of the model is {wanted[bad]:g}, which no body can have: fit it again'
         )
-    return carried, wanted
+    return alone, wanted
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -78,9 +78,7 @@ class Shares:
             return np.asarray(self.of_links[min(after, self.depth.size - 1)])
         first, last = self.depth[after - 1 : after + 1]
         part = (depth - first) / (last - first)
-        return np.asarray(
-            (1.0 - part) * self.of_links[after - 1] + part * self.of_links[after]
-        )
+        return np.asarray((1.0 - part) * self.of_links[after - 1] + part * self.of_links[after])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
-from hapticvision_ros.core.body.calibration import calibrate, Calibration
+from hapticvision_ros.core.body.calibration import calibrate, Calibration, carried
 from hapticvision_ros.core.body.lattice import box, from_heights, Lattice
 from hapticvision_ros.core.body.links import LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
@@ -62,7 +62,7 @@ _OF_FACE: Final = 0.25
 """A dent is as deep as the deepest cells of this share of the tool's face."""
 _CLEAR: Final = 8.0
 """A dent is one from so many standard errors of a cell on."""
-_ASIDE: Final = 0.4
+_ASIDE: Final = 0.6
 """A dent this far from the axis, in radii, and by `_CELLS_OFF` of the map, is beside it."""
 _TOP_SHARE: Final = 95.0
 """Percentile of the seen heights that is the height of a block."""
@@ -221,6 +221,9 @@ def study_shape(
     clouds = trial.clouds
     if clouds is None or not len(clouds):
         raise InputError('the bag has no clouds: record /range_sensor/points, or choose a bag')
+    tool = Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere)
+    # Before the clouds, which take longer.
+    carried(model, parameters, tool)
     trial, phases = _at_the_tip(trial, phases, model, parameters)
     if observed is None:
         tell('taking the object out of the clouds')
@@ -235,7 +238,6 @@ def study_shape(
         )
     nodes, triangles = lattice.surface
     rest = Mesh(lattice.points[nodes], triangles)
-    tool = Tool(settings.cloud.tool_radius, 0.0, 0.0, settings.sphere)
     surroundings = settings.surroundings or Surroundings()
     # The surface is not just as high as the arm felt it: what counts is the way beyond the touch.
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, surroundings)
@@ -287,7 +289,8 @@ def study_shape(
         warnings += _other_size(observed, settings.size)
     if not settings.sphere and under < _FEW_NODES:
         warnings.append(
-            f"the tool's face has only {under} node{'s' * (under > 1)} in cells of {1e3 * lattice.pitch:.3g} mm: "
+            f"the tool's face has only {under} node{'s' * (under > 1)} in cells of "
+            f'{1e3 * lattice.pitch:.3g} mm: '
             'choose a smaller --cell'
         )
     if surroundings.density > 0.0 and 'yield_force' not in model.effects:
