@@ -170,7 +170,7 @@ def growth(pitches: list[float], depth: float) -> None:
         before = nodes, cpu
 
 
-def match(pitch: float, depth: float, rounds: int, *, alike: bool) -> None:
+def match(pitch: float, depth: float, rounds: int, *, alike: bool | None) -> None:
     """Print how well calibrated bodies agree with the model in one dimension."""
     body = box(SIZE, pitch)
     print('model | kinematics | rounds | force % | height % | recovered over identified')
@@ -205,7 +205,7 @@ def deep(
     ratio: float,
     *,
     calibrated: bool,
-    alike: bool,
+    alike: bool | None,
 ) -> None:
     """Print what a deep push does to the force of a body of dashpots, and to the match."""
     body, around = box(SIZE, pitch), Surroundings(volume_ratio=ratio)
@@ -233,7 +233,7 @@ def deep(
 
 
 def ball(
-    pitches: list[float], depth: float, radii: list[float], rounds: int, *, alike: bool
+    pitches: list[float], depth: float, radii: list[float], rounds: int, *, alike: bool | None
 ) -> None:
     """Print how well bodies under a ball, whose contact grows by nodes, agree with the model."""
     model = Model(('contact_growth',))
@@ -279,7 +279,7 @@ def maps() -> dict[str, FloatArray]:
     }
 
 
-def shapes(pitch: float, depths: list[float], rounds: int, *, alike: bool) -> None:
+def shapes(pitch: float, depths: list[float], rounds: int, *, alike: bool | None) -> None:
     """Print how well objects whose top is not level agree with the model under a flat tool."""
     print('object | depth mm | model | nodes | rounds | force % | height %')
     for name, heights in maps().items():
@@ -374,9 +374,9 @@ def main() -> int:
     parser.add_argument('--radius-mm', type=float, nargs='+', default=[12.6], help='of a ball')
     parser.add_argument('--volume-ratio', type=float, default=14.0, help='of the geometry')
     parser.add_argument('--bare', action='store_true', help='of the geometry only, uncalibrated')
-    parser.add_argument('--links', choices=('alike', 'even'), default='alike')
+    parser.add_argument('--links', choices=('alike', 'even'), help='default: the better')
     arguments = parser.parse_args()
-    alike = arguments.links == 'alike'
+    alike = None if arguments.links is None else arguments.links == 'alike'
     depths = [1e-3 * d for d in arguments.depth_mm]
     depth = depths[0]
     pitches = [1e-3 * p for p in arguments.pitch_mm]

@@ -131,9 +131,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--links',
         choices=('alike', 'even'),
-        default='alike',
-        help='alike: of one material; even: those that are stretched less come to a threshold or '
-        'a power with less force, so that the body does what the model says (default: alike)',
+        help='alike: as of one material; even: those that are stretched less come to a threshold '
+        'or a power with less force, all at once (default: what follows the model best)',
     )
     parser.add_argument(
         '--rounds',
@@ -350,7 +349,7 @@ def _settings(args: argparse.Namespace) -> 'ShapeSettings':
         sphere=args.sphere,
         surroundings=surroundings,
         rounds=args.rounds,
-        alike=args.links == 'alike',
+        alike=None if args.links is None else args.links == 'alike',
     )
 
 

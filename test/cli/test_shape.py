@@ -261,6 +261,7 @@ def test_what_the_loop_accepts_is_what_is_simulated(
     growing = Identified(Model(('contact_growth',)), {**chain, 'm': 0.5}, None, warnings=(doubt,))
     monkeypatch.setattr(ByTip, '_other', lambda *_: replace(growing, anew=True))
     monkeypatch.setattr('hapticvision_ros.cli.shape._study', studied)
+    monkeypatch.setattr('hapticvision_ros.cli.shape._differ', lambda _: None)
     monkeypatch.setattr('hapticvision_ros.cli.shape._done', lambda *_: row)
     arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), 'other.mcap', *TOOL]
     assert main([*arguments, '--close-loop', '--out', str(tmp_path / 'out')]) == 0
@@ -317,3 +318,35 @@ def test_what_was_fitted_anew_is_told_with_its_warnings(
     assert document['fitted_anew'] == chain
     assert doubt in document['warnings']
     assert doubt in (out / 'shape.html').read_text()
+
+
+@pytest.mark.parametrize(
+    ('asked', 'warned'),
+    [
+        (('9mm',), r'a tool of 8\.\d* mm radius is seen in the hold, not of the 9 mm'),
+        (('8mm', '--contact', '0', '-0.008'), r'the dent is \d+\.\d+ mm beside the axis of the'),
+        (('8mm', '--average', '1'), 'a single frame at each time'),
+    ],
+)
+def test_what_the_clouds_do_not_bear_out_is_warned_of(
+    asked: tuple[str, ...], warned: str, folder: Path, tmp_path: Path
+) -> None:
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
+    arguments[arguments.index('8mm')] = asked[0]
+    arguments += ['--small', '--rounds', '1', '--cell', '5mm', *asked[1:]]
+    assert main([*arguments, '--out', str(tmp_path / 'out')]) == 0
+    told = json.loads((tmp_path / 'out' / 'shape.json').read_text())['warnings']
+    assert sum(bool(re.search(warned, one)) for one in told) == 1
+    usual = json.loads((folder / 'shape.json').read_text())['warnings']
+    assert not any(re.search(warned, one) for one in usual)
+
+
+def test_a_trial_is_not_held_out_of_its_own_copy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / 'copy'
+    shutil.copytree(CLOUDS, copy)
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), str(copy), *TOOL]
+    assert main([*arguments, '--close-loop', '--out', str(tmp_path / 'out')]) == 2
+    assert 'is the same trial as' in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()

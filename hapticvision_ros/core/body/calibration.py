@@ -46,6 +46,9 @@ _STEPS_OF_A_TOUCH: Final = 64
 """The same where nodes come to the tool one by one."""
 _LOOKS: Final = (0.0, 0.125, 0.375, 0.625, 0.875, 1.0)
 """Shares of the depth between which it is told how fast links are stretched."""
+WELL: Final = 0.01
+"""Share of force or depth up to which a body follows its model well."""
+_NOT_LINEAR: Final = ('yield_force', 'shear_thinning', 'strain_stiffening', 'damage')
 _DOWN: Final = 0.99
 """Share of the depth at which a push is over."""
 _SLIGHT: Final = 0.02
@@ -97,6 +100,16 @@ class Calibration:
     force_misfit: float
     height_misfit: float
     rounds: int
+
+    @property
+    def off(self) -> float:
+        """Return the larger of the two misfits [-]."""
+        return max(self.force_misfit, self.height_misfit)
+
+    @property
+    def alike(self) -> bool:
+        """Return whether the links are alike everywhere, as of one material."""
+        return self.law.geometry is None or self.law.geometry.shares is None
 
 
 def gauge(
@@ -186,7 +199,7 @@ def geometry(
         return Geometry(at, half, half, lag)
     looks = depth * np.array(_LOOKS)
     rates = [
-        body.stretches(*run.frames[k : k + 2], looks[k + 1] - looks[k])
+        body.stretches(run.frames[k], run.frames[k + 1], looks[k + 1] - looks[k])
         for k in range(len(looks) - 1)
     ]
     shares = Shares(0.5 * (looks[1:] + looks[:-1]), np.stack(rates))
@@ -209,7 +222,7 @@ def calibrate(
     at: Sequence[float] = (),
     rounds: int = 4,
     accuracy: Accuracy | None = None,
-    alike: bool = True,
+    alike: bool | None = None,
 ) -> Calibration:
     """
     Return links for which the body gives force and height of the identified model.
@@ -225,6 +238,12 @@ def calibrate(
     nearest to the model's in the mean square; push, hold and recovery weigh alike. It ends where
     the largest difference is 0.3 %, or a round does no more.
 
+    Links that are alike everywhere, as of one material, come to a threshold or a power one after
+    the other, and the body is not the chain that was identified. Links that are counted in what
+    the push stretches them by (`links.Shares`) come to it at once. These are tried first where
+    the model has such a law and the tool touches all at once, else those that are alike; the
+    other ones where the first do not follow the model within 1 % (not on a top that is not level).
+
     Parameters
     ----------
     lattice : Lattice
@@ -239,9 +258,10 @@ def calibrate(
     reference_depth : float, optional
         d_ref of the model [m]; the deepest point of the motion by default.
     rounds : int
-        Runs at most.
-    alike : bool
-        Whether links are alike everywhere, see `links.link_law`.
+        Runs at most, with either kind of links.
+    alike : bool, optional
+        Only links that are alike everywhere, or only those that are not; by default those that
+        follow the model best.
 
     Raises
     ------
@@ -251,6 +271,60 @@ def calibrate(
 
     """
     around = surroundings or Surroundings()
+    carried(model, parameters, tool)
+    kinds = [alike]
+    if alike is None:
+        body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
+        if body.is_level:
+            first = not any(name in model.effects for name in _NOT_LINEAR)
+            kinds = [first, not first]
+        else:
+            # How fast links are stretched changes too much as nodes come to the tool.
+            kinds = [True, False] if _OF_A_SPHERE in model.effects else [True]
+    found: list[Calibration] = []
+    failed: list[InputError] = []
+    for kind in kinds:
+        try:
+            found.append(
+                _calibrated(
+                    lattice,
+                    model,
+                    parameters,
+                    tool,
+                    motion,
+                    around,
+                    reference_depth=reference_depth,
+                    at=at,
+                    rounds=rounds,
+                    accuracy=accuracy,
+                    alike=bool(kind),
+                )
+            )
+        except InputError as error:
+            failed.append(error)
+        if found and found[-1].off <= WELL:
+            break
+    if not found:
+        raise failed[0]
+    best = min(found, key=lambda one: one.off)
+    return replace(best, rounds=sum(one.rounds for one in found))
+
+
+def _calibrated(
+    lattice: Lattice,
+    model: Model,
+    parameters: Mapping[str, float],
+    tool: Tool,
+    motion: ToolMotion,
+    around: Surroundings,
+    *,
+    reference_depth: float | None,
+    at: Sequence[float],
+    rounds: int,
+    accuracy: Accuracy | None,
+    alike: bool,
+) -> Calibration:
+    """Return the best links of one kind, see `calibrate`."""
     alone, wanted = carried(model, parameters, tool)
     target = np.array(list(wanted.values()))
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)

@@ -641,7 +641,7 @@ class Pressed:
         self.x1[:] = self.x0
         force = -float(product[2, self.place[nodes]].sum(dtype=np.float64))
         inner = np.arange(*self.level.ends)
-        shares = self._stretches(self.x0, moved)
+        shares = self._stretches(self.x0, moved.astype(np.float64))
         energy = fourth = first = 0.0
         for k in range(len(self.level.offsets)):
             there = inner[self.weight[k, inner] > 0.0]

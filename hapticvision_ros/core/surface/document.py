@@ -85,6 +85,7 @@ def shape_document(
             'support_friction': _friction(surroundings.support),
             'density_kg_m3': surroundings.density,
             'small_displacements': surroundings.small,
+            'links': 'alike' if study.calibration.alike else 'even',
             'geometry_taken_out': study.calibration.law.geometry is not None,
             'calibration_rounds': study.calibration.rounds,
             'force_misfit': study.calibration.force_misfit,

@@ -282,7 +282,7 @@ def close_loop(
                     raise
                 failed[name] = str(error).rstrip('.')
                 break
-            off = max(study.calibration.force_misfit, study.calibration.height_misfit)
+            off = study.calibration.off
             if off > _ASTRAY and name != AS_DECLARED:
                 failed[name] = f'its body is {100.0 * off:.0f} % off the identified model'
                 break

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
-from hapticvision_ros.core.body.calibration import calibrate, Calibration, carried
+from hapticvision_ros.core.body.calibration import calibrate, Calibration, carried, WELL
 from hapticvision_ros.core.body.lattice import box, from_heights, Lattice
 from hapticvision_ros.core.body.links import LinkLaw
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
@@ -74,8 +74,6 @@ _WELL_SEEN: Final = 0.8
 """Less than this share of the top view is worth a warning."""
 _MOST_NODES: Final = 250_000
 _FEW_NODES: Final = 9
-_WELL_CALIBRATED: Final = 0.01
-"""From this share of force or depth on the body's own error is worth a warning."""
 _TOP_VIEW_NOTE: Final = (
     "the tool's axis was taken where the mass centre of the object's top view is, since no circle "
     "of the tool's radius is seen above the object in the hold: a view from one side shifts it by "
@@ -105,8 +103,8 @@ class ShapeSettings:
         Friction, volume stiffness, weight.
     rounds : int
         Runs of the calibration at most.
-    alike : bool
-        Whether links are alike everywhere, see `links.link_law`.
+    alike : bool, optional
+        Whether links are alike everywhere, see `calibration.calibrate`.
     pictures : int
         Times beside those of the comparison at which the surface is kept, for an animation.
 
@@ -119,7 +117,7 @@ class ShapeSettings:
     sphere: bool = False
     surroundings: Surroundings | None = None
     rounds: int = 12
-    alike: bool = True
+    alike: bool | None = None
     pictures: int = 40
 
 
@@ -298,7 +296,7 @@ def study_shape(
             'a body with weight whose model has no yield_force sinks for as long as it stands: '
             'leave out its density, or choose a model with yield_force'
         )
-    if max(found.force_misfit, found.height_misfit) > _WELL_CALIBRATED:
+    if found.off > WELL:
         cure = ''
         if settings.sphere and 'contact_growth' not in model.effects:
             cure = '; fit a model with contact_growth, as the contact of a sphere grows'

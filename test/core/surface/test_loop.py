@@ -203,7 +203,7 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
         # A ratio of 1 would fit as well, were its body that of the identified model.
         astray = around.volume_ratio == 1.0
         surfaces = (bulged(dented(depth), 0.0 if astray else by),)
-        calibration = SimpleNamespace(force_misfit=0.2 if astray else 0.004, height_misfit=0.01)
+        calibration = SimpleNamespace(off=0.2 if astray else 0.01)
         return SimpleNamespace(observed=few, rest=rest, surfaces=surfaces, calibration=calibration)
 
     loop, settings = close_loop(2, SETTINGS, simulate)
