@@ -132,14 +132,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--links',
         choices=('alike', 'even'),
         help='alike: as of one material; even: those that are stretched less come to a threshold '
-        'or a power with less force, all at once (default: what follows the model best)',
+        'or a power with less force, all at once (default: the first that follows the model '
+        'within 1 %%, else the better)',
     )
     parser.add_argument(
         '--rounds',
         type=int,
         default=12,
         metavar='N',
-        help='runs of the calibration of the links at most (default: 12)',
+        help='runs of the calibration of either kind of links at most (default: 12)',
     )
     parser.add_argument(
         '--average',
@@ -251,6 +252,7 @@ def _done(
         'bag': str(bag),
         'push_speed_m_s': study.phases.push_speed,
         'depth_m': study.phases.depth,
+        'links': document['simulation']['links'],
         **{f'{name}_{unit}': document[f'{name}_{unit}'] for name, unit, _ in PAIRS},
         **{
             name: last[name]
@@ -424,7 +426,7 @@ def _differ(bags: Sequence[Path]) -> None:
 
     seen: dict[bytes, Path] = {}
     for bag in bags:
-        force = read_trial(bag).force
+        force = read_trial(bag, displacement_from_points=False).force
         mark = force.t.tobytes() + force.value.tobytes()
         if mark in seen:
             raise InputError(

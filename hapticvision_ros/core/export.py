@@ -694,7 +694,7 @@ def mujoco(model: Model, parameters: Mapping[str, float]) -> str:
 _STEP_FUNCTION: Final = '''\
 #!/usr/bin/env python3
 """
-{model}, from {source}: displacement in, force out, a millisecond a step.
+{model}: displacement in, force out, a millisecond a step.
 
 Import `stepper` into a renderer, or run the file: it reads the displacement of the tool beyond the
 undeformed surface from its input, a number a line [m], and prints the force over the millisecond
@@ -706,6 +706,7 @@ import sys
 
 from hapticvision_ros import HapticStepper, Model
 
+SOURCE = {source!r}
 MODEL = {model!r}
 PARAMETERS = {{
 {parameters}
@@ -736,7 +737,11 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except (BrokenPipeError, KeyboardInterrupt):
+        sys.stderr.close()
+        sys.exit(1)
 '''
 
 
@@ -773,6 +778,12 @@ def step_function(
     """
     from hapticvision_ros.core.haptic import HapticStepper
 
+    for name in model.names:
+        value = parameters[name]
+        if not value >= 0.0 or (name in ('K1', 'C2') and not 0.0 < value < math.inf):
+            raise UsageError(f'{name} of the model is {value:g}, which no body can have')
+    if reference_depth is not None and not math.isfinite(reference_depth):
+        raise UsageError(f'the deepest push of the result is {reference_depth:g} m: fit it again')
     # Refuses what it cannot hold.
     HapticStepper(model, parameters, reference_depth=reference_depth)
     lines = [f'    {name!r}: {float(parameters[name])!r},' for name in model.names]
@@ -843,6 +854,11 @@ def export(
     if form == 'mujoco':
         return mujoco(model, values)
     if form == 'haptic':
+        if (specimen, poisson, shortest_time, point) != (None, None, None, None):
+            raise UsageError(
+                'a step function is of the object as it was pressed: leave out area, height, '
+                "Poisson's ratio, shortest time and linearisation"
+            )
         return step_function(model, values, reference_depth, source)
     relaxation = relaxation_function(model, values, point)
     covariance = covariance_of(model, parameters, correlation)

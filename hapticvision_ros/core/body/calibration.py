@@ -202,7 +202,7 @@ def geometry(
         body.stretches(run.frames[k], run.frames[k + 1], looks[k + 1] - looks[k])
         for k in range(len(looks) - 1)
     ]
-    shares = Shares(0.5 * (looks[1:] + looks[:-1]), np.stack(rates))
+    shares = Shares.at_depths(0.5 * (looks[1:] + looks[:-1]), np.stack(rates))
     return Geometry(at, made_good, np.ones_like(at), lag, shares)
 
 
@@ -242,7 +242,10 @@ def calibrate(
     the other, and the body is not the chain that was identified. Links that are counted in what
     the push stretches them by (`links.Shares`) come to it at once. These are tried first where
     the model has such a law and the tool touches all at once, else those that are alike; the
-    other ones where the first do not follow the model within 1 % (not on a top that is not level).
+    other ones where the first do not follow the model within 1 %, but not where a flat tool comes
+    to a top that is not level, nor under a ball whose model has no contact that grows. A body with
+    weight has links that are alike: in the others a threshold would be as small as what the push
+    does to a link, and what hardly feels the push would flow under its weight.
 
     Parameters
     ----------
@@ -260,8 +263,8 @@ def calibrate(
     rounds : int
         Runs at most, with either kind of links.
     alike : bool, optional
-        Only links that are alike everywhere, or only those that are not; by default those that
-        follow the model best.
+        Only links that are alike everywhere, or only those that are not; by default the first
+        kind that follows the model within 1 %, else the better.
 
     Raises
     ------
@@ -275,7 +278,9 @@ def calibrate(
     kinds = [alike]
     if alike is None:
         body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
-        if body.is_level:
+        if around.density > 0.0:
+            kinds = [True]
+        elif body.is_level:
             first = not any(name in model.effects for name in _NOT_LINEAR)
             kinds = [first, not first]
         else:
@@ -341,11 +346,9 @@ def _calibrated(
     growth = [wanted[name] for name in grows]
     known = None
     if growth or not (tool.sphere or (around.small and body.is_level)):
-        # What a series spring holds does not go from link to link as shares change.
-        same = alike or 'series_spring' in alone.effects
-        known = geometry(lattice, tool, deepest, around, growth=sum(growth), alike=same)
+        known = geometry(lattice, tool, deepest, around, growth=sum(growth), alike=alike)
     if not alike and (known is None or known.shares is None):
-        slight = Shares(np.zeros(1), measure.shares[None])
+        slight = Shares.at_depths(np.zeros(1), measure.shares[None])
         known = replace(known or Geometry.none(), shares=slight)
     law = replace(law, geometry=known)
     given = {name for name, value in wanted.items() if value > 0.0 and name not in grows}
@@ -394,11 +397,12 @@ def _calibrated(
         if damping > _MOST or (learns and (close or no_more)):
             break
         if not learns:
-            alike = float(np.abs(best.change(damping, learns=False)).max(initial=0.0)) < _ALIKE
+            change = np.abs(best.change(damping, learns=False)).max(initial=0.0)
+            settled = float(change) < _ALIKE
             slow = best.cost > _SLOW * before
-            if (close and (alike or slow)) or (alike and not learnable):
+            if (close and (settled or slow)) or (settled and not learnable):
                 break
-            if learnable and not close and (alike or slow or 2 * done >= rounds):
+            if learnable and not close and (settled or slow or 2 * done >= rounds):
                 damping, learns = 1.0, True
     if best is None:
         raise InputError('a calibration has at least one round: ask for one or more')

@@ -262,8 +262,10 @@ def link_forces(  # type: ignore[no-untyped-def]
                 dy = (origin[1, j] - origin[1, i]) / rest[k, i]
                 dz = (origin[2, j] - origin[2, i]) / rest[k, i]
                 stretch = q[TAKEN] * ((bx - ax) * dx + (by - ay) * dy + (bz - az) * dz) / long
-            share = shares[k, i] if has_shares else 1.0
-            stretch /= share
+            share = 1.0
+            if has_shares:
+                share = shares[k, i]
+                stretch /= share
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
             if has_series:
@@ -343,8 +345,10 @@ def advance_links(  # type: ignore[no-untyped-def]
                 for a in range(3):
                     along = q[TAKEN] * (origin[a, j] - origin[a, i]) / (rest[k, i] * long)
                     stretch += along * (x1[a, j] - x1[a, i] - x0[a, j] + x0[a, i])
-            share = shares[k, i] if has_shares else 1.0
-            stretch /= share
+            share = 1.0
+            if has_shares:
+                share = shares[k, i]
+                stretch /= share
             if has_unit:
                 stretch += q[UNIT_LEFT] * unit[k, i]
             if has_series:

@@ -17,7 +17,8 @@ The law of a link: the chain of the identified model, in the numbers of one link
 
 The law is that of a link along an edge of the lattice. A diagonal of weight w and length L carries
 ``w L/a`` times the force that an edge, of length a, carries at the same strain, so that all links
-have one law in stress and strain, the effects included.
+have one law in stress and strain, the effects included, unless each is counted in a share of its
+own (`Shares`).
 """
 
 from collections.abc import Mapping
@@ -48,7 +49,8 @@ class Shares:
     The chain of a link is stretched by the link's stretch over its share, and the link passes on
     the chain's force times its share. So all chains are where that of the model is, whatever its
     law, as long as links are stretched in these proportions; and forces in these proportions
-    balance, as those of dashpots do. Springs and dashpots are the same with it and without.
+    balance, as those of dashpots do. While shares stand still, springs and dashpots are the same
+    with them and without.
 
     Parameters
     ----------
@@ -56,29 +58,44 @@ class Shares:
         Of the tool below its first touch [m].
     of_links : ndarray, shape (m, 13, p)
         Stretch of each link per depth, brought to the length of an edge, then; not zero [-].
+    least : float
+        What a share is at least: one that changes its sign does not go through zero, where a
+        chain would be stretched without end [-].
+    free : ndarray, shape (13, p)
+        Shares where no tool touches: the mean of the way down.
 
     """
 
     depth: FloatArray
     of_links: FloatArray
+    least: float
+    free: FloatArray
 
-    @property
-    def free(self) -> FloatArray:
-        """Return the shares where no tool touches: the mean of the way down."""
-        if self.depth.size == 1:
-            return np.asarray(self.of_links[0])
-        parts = np.diff(self.depth) / (self.depth[-1] - self.depth[0])
-        weights = 0.5 * (np.append(parts, 0.0) + np.append(0.0, parts))
-        return np.asarray(np.tensordot(weights, self.of_links, 1))
+    @classmethod
+    def at_depths(cls, depth: FloatArray, of_links: FloatArray) -> 'Shares':
+        """Return shares at some depths, as `simulation.Pressed.stretches` tells them."""
+        least = float(np.abs(of_links).min())
+        mean = of_links[0]
+        if depth.size > 1:
+            parts = np.diff(depth) / (depth[-1] - depth[0])
+            weights = 0.5 * (np.append(parts, 0.0) + np.append(0.0, parts))
+            mean = np.tensordot(weights, of_links, 1)
+        return cls(depth, of_links, least, not_less(mean, least))
 
     def at(self, depth: float) -> FloatArray:
-        """Return the shares where the tool is so deep [m]."""
+        """Return the shares where the tool is so deep [m], shape (13, p)."""
         after = int(np.searchsorted(self.depth, depth))
         if after in (0, self.depth.size):
             return np.asarray(self.of_links[min(after, self.depth.size - 1)])
         first, last = self.depth[after - 1 : after + 1]
         part = (depth - first) / (last - first)
-        return np.asarray((1.0 - part) * self.of_links[after - 1] + part * self.of_links[after])
+        between = (1.0 - part) * self.of_links[after - 1] + part * self.of_links[after]
+        return not_less(between, self.least)
+
+
+def not_less(values: FloatArray, least: float) -> FloatArray:
+    """Return values of which none is nearer to zero than `least`."""
+    return np.where(np.abs(values) < least, np.where(values < 0.0, -least, least), values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

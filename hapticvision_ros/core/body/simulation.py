@@ -33,7 +33,7 @@ from hapticvision_ros.core.body.lattice import (
     IndexArray,
     Lattice,
 )
-from hapticvision_ros.core.body.links import Gauge, LinkLaw
+from hapticvision_ros.core.body.links import Gauge, LinkLaw, not_less
 from hapticvision_ros.core.body.multigrid import Multigrid, project
 from hapticvision_ros.core.body.push import Surroundings, Tool, ToolMotion
 from hapticvision_ros.core.errors import InputError
@@ -68,8 +68,8 @@ _DAMPED: Final = 1.65
 """Largest weight of the end of a step of a series spring where friction is overcome; 2 is all."""
 _AT_ONCE: Final = 0.01
 """How far nodes are from the tool at the first touch that it touches at once, over the pitch."""
-_LEAST_SHARE: Final = 0.02
-"""A link that a slight push hardly stretches counts as stretched by this, over the mean."""
+_LEAST_SHARE: Final = 0.2
+"""A link that a push hardly stretches counts as stretched by this, over the root mean square."""
 _ON: Final = 1.0 + 1e-6
 """How far from the tool's edge a node is still under it."""
 _DRAG: Final = 1e-6
@@ -651,7 +651,7 @@ class Pressed:
             energy += float((weight * edge**2).sum())
             fourth += float((weight * edge**4).sum())
         share = math.sqrt(fourth / energy)
-        return Gauge(force, share, first, _not_zero(shares, share))
+        return Gauge(force, share, first, self._not_zero(shares))
 
     def stretches(self, start: FloatArray, end: FloatArray, depth: float) -> FloatArray:
         """
@@ -673,9 +673,12 @@ class Pressed:
         at, moved = np.zeros_like(self.x0), np.zeros_like(self.x0)
         at[:, self.place] = 0.5 * (start + end).T
         moved[:, self.place] = (end - start).T
-        shares = self._stretches(self.x0 if self.surroundings.small else at, moved) / depth
-        there = self.weight > 0.0
-        return _not_zero(shares, float(np.sqrt(np.mean(shares[there] ** 2))))
+        longer = self._stretches(self.x0 if self.surroundings.small else at, moved)
+        return self._not_zero(longer / depth)
+
+    def _not_zero(self, shares: FloatArray) -> FloatArray:
+        usual = float(np.sqrt(np.mean(shares[self.weight > 0.0] ** 2)))
+        return not_less(shares, _LEAST_SHARE * usual)
 
     def _stretches(self, at: FloatArray, moved: FloatArray) -> FloatArray:
         """Return by how much links get longer, brought to an edge, shape (13, p) [m]."""
@@ -730,11 +733,6 @@ class Pressed:
         near = aside < tool.radius
         rise = tool.radius - np.sqrt(tool.radius**2 - aside[near] ** 2)
         return upper[near], points[upper[near], 2] - rise
-
-
-def _not_zero(shares: FloatArray, usual: float) -> FloatArray:
-    least = _LEAST_SHARE * usual
-    return np.where(np.abs(shares) < least, np.where(shares < 0.0, -least, least), shares)
 
 
 def _cell_shapes(lattice: Lattice) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,7 @@ x = y = 0.
 """
 
 from collections.abc import Iterable, Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import Final, Literal
@@ -59,6 +60,10 @@ _TOOL_BAND: Final = (0.003, 0.020)
 _ROUNDS: Final = 20
 _MOST_OF_TOOL: Final = 0.7
 """Less than this share of the returns in the band on one circle is no tool."""
+_OF_RADIUS: Final = 0.25
+"""A return that is farther from the circle than this share of its radius is not on it."""
+_LEAST_ARC: Final = 1.5
+"""A circle of which less is seen has no radius that could be told [rad]."""
 _WIDEST: Final = 1.0
 """A circle of this radius is no tool's, but a wall that is nearly straight [m]."""
 _ROOM: Final = 0.01
@@ -295,14 +300,18 @@ def _taken_out(
     before = _levelled(groups[0], settings.planning)
     rotation, shift = before.rotation, before.shift
     source: ContactSource = 'given'
-    found, radius = None, Estimate.unknown('no cloud from the hold')
+    radius = Estimate.unknown('no cloud from the hold')
+    level: _Level | None = None
     if hold.frames:
-        level = _levelled(hold, settings.planning)
-        found = _tool_axis(level, top, settings.tool_radius)
+        # With an axis that was given, no plane in the hold is no reason to refuse the trial.
+        with contextlib.suppress(*(() if contact is None else (InputError,))):
+            level = _levelled(hold, settings.planning)
+    if level is not None:
         radius = _seen_radius(level, top)
     if contact is not None:
         contact = _moved(contact, rotation, shift)
     else:
+        found = None if level is None else _tool_axis(level, top, settings.tool_radius)
         if found is not None:
             contact, source = found, 'tool'
         else:
@@ -552,7 +561,8 @@ def _seen_radius(hold: _Level, top: float) -> Estimate:
         distance = np.maximum(np.hypot(*away.T), 1e-9)
         residual = distance - radius
         if number >= _ROUNDS // 2:
-            inside = np.abs(residual) < max(3.0 * hold.plane_noise, _FINEST)
+            bound = min(max(3.0 * hold.plane_noise, _FINEST), _OF_RADIUS * radius)
+            inside = np.abs(residual) < bound
         if np.count_nonzero(inside) < max(_LEAST_POINTS, _MOST_OF_TOOL * len(points)):
             return none
         outward = away[inside] / distance[inside, None]
@@ -567,6 +577,11 @@ def _seen_radius(hold: _Level, top: float) -> Estimate:
         left = residual[inside] - design @ step
         spread = float(left @ left) / max(len(left) - design.shape[1], 1)
         error = math.sqrt(spread * float(np.linalg.inv(design.T @ design)[2, 2]))
+    # A short piece of a noisy circle is one of any radius.
+    angle = np.sort(np.arctan2(*(points[inside] - centre).T))
+    gaps = np.diff(np.append(angle, angle[0] + 2.0 * np.pi))
+    if 2.0 * np.pi - float(gaps.max()) < _LEAST_ARC:
+        return none
     return Estimate(radius, error)
 
 

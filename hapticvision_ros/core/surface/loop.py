@@ -272,11 +272,14 @@ def close_loop(
     observed: list[Observation | None] = [None] * trials
     profiles: dict[str, list[Profile]] = {}
     failed: dict[str, str] = {}
+    kinds: dict[int, bool] = {}
     for name, changed in asked.items():
         made = []
         for trial in range(trials):
+            # What rivals differ in is to be what they are named for, and not the kind of links.
+            same = replace(changed, alike=kinds.get(trial, changed.alike))
             try:
-                study = simulate(trial, changed, observed[trial])
+                study = simulate(trial, same, observed[trial])
             except InputError as error:
                 if name == AS_DECLARED:
                     raise
@@ -287,6 +290,7 @@ def close_loop(
                 failed[name] = f'its body is {100.0 * off:.0f} % off the identified model'
                 break
             observed[trial] = study.observed
+            kinds.setdefault(trial, study.calibration.alike)
             radius = settings.cloud.tool_radius
             made.append(profile(study.observed, study.rest, study.surfaces[-1], radius))
         else:

@@ -102,7 +102,7 @@ class ShapeSettings:
     surroundings : Surroundings, optional
         Friction, volume stiffness, weight.
     rounds : int
-        Runs of the calibration at most.
+        Runs of the calibration of either kind of links at most.
     alike : bool, optional
         Whether links are alike everywhere, see `calibration.calibrate`.
     pictures : int
@@ -342,10 +342,10 @@ def _other_tool(observed: Observation, settings: ShapeSettings) -> list[str]:
     off = seen.value - told
     if abs(off) <= max(_OTHER_RADIUS * told, _SURE * seen.std) or (larger_only and off < 0.0):
         return []
+    axis = ': the axis is off by about as much' if observed.contact_source == 'tool' else ''
     return [
         f'above the object a tool of {1e3 * seen.value:.3g} mm radius is seen in the hold, not of '
-        f'the {1e3 * told:.3g} mm that were given: the axis is off by about as much; check '
-        '--tool-radius'
+        f'the {1e3 * told:.3g} mm that were given{axis}; check --tool-radius'
     ]
 
 

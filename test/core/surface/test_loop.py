@@ -192,8 +192,11 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
     few = replace(observed, before=thinned(observed.before), after=(thinned(observed.after[-1]),))
     given = []
 
+    kinds: list[bool | None] = []
+
     def simulate(trial: int, settings: ShapeSettings, seen: Observation | None) -> Any:
         given.append((trial, seen))
+        kinds.append(settings.alike)
         if settings.sphere:
             raise InputError('the tool does not meet the body')
         around = settings.surroundings or Surroundings()
@@ -203,7 +206,7 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
         # A ratio of 1 would fit as well, were its body that of the identified model.
         astray = around.volume_ratio == 1.0
         surfaces = (bulged(dented(depth), 0.0 if astray else by),)
-        calibration = SimpleNamespace(off=0.2 if astray else 0.01)
+        calibration = SimpleNamespace(off=0.2 if astray else 0.01, alike=False)
         return SimpleNamespace(observed=few, rest=rest, surfaces=surfaces, calibration=calibration)
 
     loop, settings = close_loop(2, SETTINGS, simulate)
@@ -215,6 +218,9 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
     assert settings.surroundings.volume_ratio == 0.0
     assert 'spherical tool' not in loop.misfits
     assert 'spherical tool was left out (the tool does not meet' in loop.verdict
+    # All rivals have the kind of links that the declared body has.
+    assert kinds[:2] == [None, None]
+    assert set(kinds[2:]) == {False}
     # The clouds are looked at once.
     assert [seen for _, seen in given[:2]] == [None, None]
     assert all(seen is few for _, seen in given[2:])
