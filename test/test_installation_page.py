@@ -155,3 +155,13 @@ def test_what_refuses_says_what_the_page_says() -> None:
 def test_links_of_the_page_lead_somewhere() -> None:
     for target in re.findall(r'\]\((\w+\.md)\)', PAGE):
         assert (ROOT / 'doc' / target).is_file()
+
+
+def test_no_program_of_the_package_is_started_by_its_bare_name() -> None:
+    # colcon puts them where `ros2 run` finds them, and not on the PATH.
+    setup = (ROOT / 'setup.py').read_text()
+    programs = {'hapticvision', 'simulated_world', *NODES}
+    programs |= set(re.findall(r"'(\w+) = hapticvision_ros", setup))
+    first = {command.split()[0] for command in COMMANDS if command}
+    assert {'ros2', 'colcon'} <= first
+    assert not first & programs

@@ -87,9 +87,10 @@ class Shares:
         after = int(np.searchsorted(self.depth, depth))
         if after in (0, self.depth.size):
             return np.asarray(self.of_links[min(after, self.depth.size - 1)])
-        first, last = self.depth[after - 1 : after + 1]
+        before = after - 1
+        first, last = self.depth[before], self.depth[after]
         part = (depth - first) / (last - first)
-        between = (1.0 - part) * self.of_links[after - 1] + part * self.of_links[after]
+        between = (1.0 - part) * self.of_links[before] + part * self.of_links[after]
         return not_less(between, self.least)
 
 
