@@ -42,9 +42,10 @@ COMMANDS = [
 TOPIC_TYPES = {topic.name: topic.msgtype for topic in (*TOPICS, *CELL_TOPICS)}
 SERVICE_TYPES = {service.name: service.srvtype for service in SERVICES}
 OTHER_NAMES = {
-    # Words of the page in code marks that are no parameter: frames and programs.
+    # Words of the page in code marks that are no parameter of a node's own: frames and programs.
     'support_plane',
     'foxglove_bridge',
+    'use_sim_time',
     'experiment_client',
 }
 
