@@ -182,7 +182,9 @@ class Probe:
         """
         with contextlib.suppress(pytest.fail.Exception):
             wait_until(
-                lambda: node_name not in self.node.get_node_names(), f'the end of {node_name}'
+                lambda: node_name not in self.node.get_node_names(),
+                f'the end of {node_name}',
+                deadline=30.0,
             )
 
     def start_push(self) -> None:
