@@ -22,6 +22,7 @@ time of the instant that was simulated, also when the process was late to simula
 
 import argparse
 from collections.abc import Callable, Sequence
+import ctypes
 from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
@@ -54,6 +55,7 @@ import numpy as np
 
 TICK = 0.001
 """The world advances, listens and sends once in this time [s]."""
+_STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 type Address = tuple[str, int]
 
@@ -269,11 +271,8 @@ def run_world(kind: type[WorldServer], argv: Sequence[str] | None = None) -> int
     def request_stop(_number: int, _frame: FrameType | None) -> None:
         nonlocal stop
         stop = True
-        # Ctrl-C under `ros2 launch` comes twice: the second is not to kill it in its last moments.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _STOPPING:
         signal.signal(number, request_stop)
     try:
         config = _with_rates(load_config(arguments.config), arguments)
@@ -287,4 +286,20 @@ def run_world(kind: type[WorldServer], argv: Sequence[str] | None = None) -> int
         server.serve(lambda: stop)
     finally:
         server.close()
+        _stop_listening()
     return 0
+
+
+def _stop_listening() -> None:
+    """
+    Ignore the signals that end the process, as it ends.
+
+    Ctrl-C under `ros2 launch` comes twice: the second is not to kill it in its last moments, when
+    Python has given up its handlers. Python's own call alone says that it ignored one which comes
+    in the midst of that call; after the one of the C library none comes.
+    """
+    ignore = ctypes.CDLL(None).signal
+    ignore.argtypes, ignore.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
+    for number in _STOPPING:
+        ignore(number, signal.SIG_IGN)
+        signal.signal(number, signal.SIG_IGN)
