@@ -374,7 +374,11 @@ def main() -> int:
     parser.add_argument('--radius-mm', type=float, nargs='+', default=[12.6], help='of a ball')
     parser.add_argument('--volume-ratio', type=float, default=14.0, help='of the geometry')
     parser.add_argument('--bare', action='store_true', help='of the geometry only, uncalibrated')
-    parser.add_argument('--links', choices=('alike', 'even'), help='default: the better')
+    parser.add_argument(
+        '--links',
+        choices=('alike', 'even'),
+        help='default: the first within 1 %%, else the better',
+    )
     arguments = parser.parse_args()
     alike = None if arguments.links is None else arguments.links == 'alike'
     depths = [1e-3 * d for d in arguments.depth_mm]

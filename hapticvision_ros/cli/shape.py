@@ -44,8 +44,6 @@ _MOST_FRAMES: Final = 100
 _OF_A_LOOK: Final = re.compile(r'(surface|cloud)_\d+\.(ply|vtk)')
 _MM: Final = 1e-3
 _LEAST_HELD_OUT: Final = 2
-_WIDEST_TOOL: Final = 1.0
-"""A tool of a larger radius is a slip of the unit [m]."""
 _STIFFEST: Final = 1e3
 """A volume that is stiffer than this, over Young's modulus, is one that the solver loses."""
 _MOST_TURNS: Final = 3
@@ -323,17 +321,18 @@ def _check(args: argparse.Namespace) -> None:
 def _settings(args: argparse.Namespace) -> 'ShapeSettings':
     """Return what the arguments ask for."""
     radius = quantity('--tool-radius', args.tool_radius, LENGTH_UNITS, 'm', '0.0126 or 12.6mm')
-    if radius > _WIDEST_TOOL:
-        raise UsageError(
-            f"--tool-radius '{args.tool_radius}' is {radius:g} m: write millimetres as 12.6mm."
-        )
     pitch = None
     if args.cell is not None:
         pitch = quantity('--cell', args.cell, LENGTH_UNITS, 'm', '0.005 or 5mm')
     size = None if args.size is None else _size(args.size)
     from hapticvision_ros.core.body.push import Surroundings
-    from hapticvision_ros.core.surface.cloud import CloudSettings
+    from hapticvision_ros.core.surface.cloud import CloudSettings, WIDEST_TOOL
     from hapticvision_ros.core.surface.study import ShapeSettings
+
+    if radius > WIDEST_TOOL:
+        raise UsageError(
+            f"--tool-radius '{args.tool_radius}' is {radius:g} m: write millimetres as 12.6mm."
+        )
 
     surroundings = Surroundings(small=args.small, density=args.density)
     if args.volume_ratio is not None:

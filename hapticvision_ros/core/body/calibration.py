@@ -180,8 +180,9 @@ def geometry(
     push = ToolMotion(np.array([0.0, 1.0]), np.array([body.top, body.top - depth]))
     even = 1.0 / (_STEPS_OF_A_PUSH if level else _STEPS_OF_A_TOUCH)
     accuracy = Accuracy(position=depth, force=1.0, first_step=even, longest_step=even)
+    looks = () if alike else _LOOKS
     try:
-        run = simulate(lattice, _DASHPOTS, tool, push, around, accuracy=accuracy, at=_LOOKS)
+        run = simulate(lattice, _DASHPOTS, tool, push, around, accuracy=accuracy, at=looks)
     except InputError:
         return None
     if not (run.force > 0.0).all():
@@ -197,12 +198,12 @@ def geometry(
     if alike:
         half = np.sqrt(made_good)
         return Geometry(at, half, half, lag)
-    looks = depth * np.array(_LOOKS)
+    way = depth * np.array(looks)
     rates = [
-        body.stretches(run.frames[k], run.frames[k + 1], looks[k + 1] - looks[k])
-        for k in range(len(looks) - 1)
+        body.stretches(start, end, part)
+        for start, end, part in zip(run.frames[:-1], run.frames[1:], np.diff(way), strict=True)
     ]
-    shares = Shares.at_depths(0.5 * (looks[1:] + looks[:-1]), np.stack(rates))
+    shares = Shares.at_depths(0.5 * (way[1:] + way[:-1]), np.stack(rates))
     return Geometry(at, made_good, np.ones_like(at), lag, shares)
 
 
@@ -274,10 +275,9 @@ def calibrate(
 
     """
     around = surroundings or Surroundings()
-    carried(model, parameters, tool)
-    kinds = [alike]
+    body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
+    kinds = [bool(alike)]
     if alike is None:
-        body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
         if around.density > 0.0:
             kinds = [True]
         elif body.is_level:
@@ -292,17 +292,15 @@ def calibrate(
         try:
             found.append(
                 _calibrated(
-                    lattice,
+                    body,
                     model,
                     parameters,
-                    tool,
                     motion,
-                    around,
                     reference_depth=reference_depth,
                     at=at,
                     rounds=rounds,
                     accuracy=accuracy,
-                    alike=bool(kind),
+                    alike=kind,
                 )
             )
         except InputError as error:
@@ -316,12 +314,10 @@ def calibrate(
 
 
 def _calibrated(
-    lattice: Lattice,
+    body: Pressed,
     model: Model,
     parameters: Mapping[str, float],
-    tool: Tool,
     motion: ToolMotion,
-    around: Surroundings,
     *,
     reference_depth: float | None,
     at: Sequence[float],
@@ -329,10 +325,10 @@ def _calibrated(
     accuracy: Accuracy | None,
     alike: bool,
 ) -> Calibration:
-    """Return the best links of one kind, see `calibrate`."""
+    """Return the best links of one kind for a body at rest, see `calibrate`."""
+    lattice, tool, around = body.lattice, body.tool, body.surroundings
     alone, wanted = carried(model, parameters, tool)
     target = np.array(list(wanted.values()))
-    body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
     top = body.top
     deepest = top - float(motion.height.min())
     if not deepest > 0.0:

@@ -24,7 +24,6 @@ x = y = 0.
 """
 
 from collections.abc import Iterable, Sequence
-import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import Final, Literal
@@ -64,11 +63,13 @@ _OF_RADIUS: Final = 0.25
 """A return that is farther from the circle than this share of its radius is not on it."""
 _LEAST_ARC: Final = 1.5
 """A circle of which less is seen has no radius that could be told [rad]."""
-_WIDEST: Final = 1.0
-"""A circle of this radius is no tool's, but a wall that is nearly straight [m]."""
+WIDEST_TOOL: Final = 1.0
+"""A circle of this radius is no tool's, but a wall that is nearly straight, or a slip [m]."""
 _ROOM: Final = 0.01
 """How far beyond its outline and above its top the object may have been pressed [m]."""
 _FINEST: Final = 1e-3
+_LEAST_NOISE: Final = 1e-6
+"""Of a perfect cloud: a scale must not be zero [m]."""
 _UPRIGHT: Final = 0.7
 """A surface whose normal rises by less than this is a wall."""
 _WALL_CELLS: Final = 2.5
@@ -303,9 +304,12 @@ def _taken_out(
     radius = Estimate.unknown('no cloud from the hold')
     level: _Level | None = None
     if hold.frames:
-        # With an axis that was given, no plane in the hold is no reason to refuse the trial.
-        with contextlib.suppress(*(() if contact is None else (InputError,))):
+        try:
             level = _levelled(hold, settings.planning)
+        except InputError:
+            # Where the axis was given, the hold is needed for nothing else.
+            if contact is None:
+                raise
     if level is not None:
         radius = _seen_radius(level, top)
     if contact is not None:
@@ -539,50 +543,37 @@ def _tool_band(hold: _Level, top: float) -> FloatArray:
 
 
 def _seen_radius(hold: _Level, top: float) -> Estimate:
-    """Return the radius of the circle that the tool's returns are on [m]."""
+    """Return the radius of the circle that the tool's returns are on, whatever was given [m]."""
+    from scipy.optimize import least_squares
+
     points = _tool_band(hold, top)[:, :2]
     none = Estimate.unknown('no circle is seen above the object in the hold')
     if len(points) < _LEAST_POINTS:
         return none
-    # The linear fit of a circle: a little small where noise is much of the arc, but a start.
-    middle = points.mean(axis=0)
-    away = points - middle
-    squares = np.einsum('ij,ij->i', away, away)
-    design = np.column_stack((2.0 * away, np.ones(len(away))))
-    start, _, rank, _ = np.linalg.lstsq(design, squares, rcond=None)
-    squared = float(start[2] + start[0] ** 2 + start[1] ** 2)
-    if rank < design.shape[1] or not squared > 0.0:
+    middle = np.median(points, axis=0)
+    usual = float(np.median(np.hypot(*(points - middle).T)))
+
+    def off(circle: FloatArray) -> FloatArray:
+        return np.asarray(np.hypot(*(points - circle[:2]).T) - circle[2])
+
+    # What is not of the tool pulls little.
+    noise = max(hold.plane_noise, _LEAST_NOISE)
+    found = least_squares(off, [*middle, usual], loss='cauchy', f_scale=noise)
+    centre, radius = found.x[:2], float(found.x[2])
+    if not 0.0 < radius < WIDEST_TOOL:
         return none
-    centre, radius = middle + start[:2], math.sqrt(squared)
-    inside = np.ones(len(points), dtype=bool)
-    error = math.nan
-    for number in range(_ROUNDS):
-        away = points - centre
-        distance = np.maximum(np.hypot(*away.T), 1e-9)
-        residual = distance - radius
-        if number >= _ROUNDS // 2:
-            bound = min(max(3.0 * hold.plane_noise, _FINEST), _OF_RADIUS * radius)
-            inside = np.abs(residual) < bound
-        if np.count_nonzero(inside) < max(_LEAST_POINTS, _MOST_OF_TOOL * len(points)):
-            return none
-        outward = away[inside] / distance[inside, None]
-        design = np.column_stack((outward, np.ones(len(outward))))
-        step, _, rank, _ = np.linalg.lstsq(design, residual[inside], rcond=None)
-        if rank < design.shape[1]:
-            return none
-        centre = centre + step[:2]
-        radius += float(step[2])
-        if not 0.0 < radius < _WIDEST:
-            return none
-        left = residual[inside] - design @ step
-        spread = float(left @ left) / max(len(left) - design.shape[1], 1)
-        error = math.sqrt(spread * float(np.linalg.inv(design.T @ design)[2, 2]))
+    bound = min(max(3.0 * hold.plane_noise, _FINEST), _OF_RADIUS * radius)
+    inside = np.abs(off(found.x)) < bound
+    away = points[inside] - centre
+    if np.count_nonzero(inside) < max(_LEAST_POINTS, _MOST_OF_TOOL * len(points)):
+        return none
     # A short piece of a noisy circle is one of any radius.
-    angle = np.sort(np.arctan2(*(points[inside] - centre).T))
-    gaps = np.diff(np.append(angle, angle[0] + 2.0 * np.pi))
-    if 2.0 * np.pi - float(gaps.max()) < _LEAST_ARC:
+    angle = np.sort(np.arctan2(*away.T))
+    if 2.0 * np.pi - float(np.diff(np.append(angle, angle[0] + 2.0 * np.pi)).max()) < _LEAST_ARC:
         return none
-    return Estimate(radius, error)
+    design = np.column_stack((away / np.hypot(*away.T)[:, None], np.ones(len(away))))
+    spread = float(np.mean(off(found.x)[inside] ** 2))
+    return Estimate(radius, math.sqrt(spread * float(np.linalg.inv(design.T @ design)[2, 2])))
 
 
 def _tool_axis(hold: _Level, top: float, radius: float) -> tuple[float, float] | None:

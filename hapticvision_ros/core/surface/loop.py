@@ -276,8 +276,11 @@ def close_loop(
     for name, changed in asked.items():
         made = []
         for trial in range(trials):
-            # What rivals differ in is to be what they are named for, and not the kind of links.
-            same = replace(changed, alike=kinds.get(trial, changed.alike))
+            # What rivals differ in is to be what they are named for, and not the kind of links;
+            # of another tip the contact is another, and what follows the model there.
+            same = changed
+            if changed.sphere == settings.sphere:
+                same = replace(changed, alike=kinds.get(trial, changed.alike))
             try:
                 study = simulate(trial, same, observed[trial])
             except InputError as error:

@@ -196,9 +196,10 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
 
     def simulate(trial: int, settings: ShapeSettings, seen: Observation | None) -> Any:
         given.append((trial, seen))
-        kinds.append(settings.alike)
         if settings.sphere:
+            assert settings.alike is None, 'the contact of another tip is another'
             raise InputError('the tool does not meet the body')
+        kinds.append(settings.alike)
         around = settings.surroundings or Surroundings()
         by = {0.0: 0.0, 1.0: 5e-4, 14.0: 1e-3}[around.volume_ratio]
         if around.support.friction == 0.0:
@@ -218,7 +219,7 @@ def test_what_is_accepted_is_simulated_with_and_what_fails_is_left_out(
     assert settings.surroundings.volume_ratio == 0.0
     assert 'spherical tool' not in loop.misfits
     assert 'spherical tool was left out (the tool does not meet' in loop.verdict
-    # All rivals have the kind of links that the declared body has.
+    # All rivals with this tip have the kind of links that the declared body has.
     assert kinds[:2] == [None, None]
     assert set(kinds[2:]) == {False}
     # The clouds are looked at once.
