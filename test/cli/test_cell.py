@@ -167,9 +167,10 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     assert main(fit) == 0
     result = tmp_path / 'fit' / 'result.json'
     told = json.loads(result.read_text())['before']['parameters']
-    # A slight push meets these numbers; 15 % of the height is none, and springs keep the volume.
-    for name, value in (('K1', 2000.0), ('C1', 1600.0), ('C2', 2400.0)):
-        assert told[name]['value'] == pytest.approx(value, rel=0.35)
+    # What the same body gives offline. A slight push meets its 2000, 1600 and 2400; 15 % of the
+    # height is none, and springs keep the volume.
+    for name, value in (('K1', 1431.0), ('C1', 1294.0), ('C2', 3123.0)):
+        assert told[name]['value'] == pytest.approx(value, rel=0.1)
     shape = ['shape', str(result), str(bag), '--tool-radius', '8mm', '--size', '60x40x20mm']
     shape += ['--cell', '4mm', '--volume-ratio', '1', '--out', str(tmp_path / 'shape')]
     assert main(shape) == 0

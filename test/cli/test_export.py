@@ -225,9 +225,14 @@ def test_a_stepper_from_a_result_is_that_of_the_fit(tmp_path: Path) -> None:
         haptic(str(tmp_path / 'no_result.json'))
 
 
-def test_step_function_runs_on_its_own(result: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize('name', ['result.json', """it's "of" {two} \\ \"\"\" '''.json"""])
+def test_step_function_runs_on_its_own(result: Path, tmp_path: Path, name: str) -> None:
     document = json.loads(result.read_text())
-    document['trials'] = [{'depth_m': 0.008}]
+    # Damage counts from the deepest push, which the file has to tell.
+    document['trials'] = [{'depth_m': 0.004}, {'depth_m': 0.008}]
+    document['after']['model'] += '+damage'
+    document['after']['parameters']['D'] = _parameter(0.4, '-', 0.01)
+    result = tmp_path / name
     result.write_text(json.dumps(document))
     written = tmp_path / 'body.py'
     assert main(['export', str(result), '--format', 'haptic', '--out', str(written)]) == 0
@@ -250,6 +255,45 @@ def test_step_function_runs_on_its_own(result: Path, tmp_path: Path) -> None:
         )
         assert done.returncode == 2
         assert done.stderr == f'line 2 is no finite number: {wrong}\n'
+
+
+@pytest.mark.parametrize(
+    ('parameter', 'value', 'depth', 'says'),
+    [
+        ('K1', -2000.0, 0.008, 'K1 of the model is -2000, which no body can have'),
+        ('C2', 0.0, 0.008, 'C2 of the model is 0'),
+        ('C1', float('nan'), 0.008, 'C1'),
+        ('D', 0.4, None, 'deepest push'),
+        ('D', 0.4, float('inf'), 'deepest push'),
+    ],
+)
+def test_step_function_of_no_body_is_refused(
+    parameter: str,
+    value: float,
+    depth: float | None,
+    says: str,
+    result: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    document = json.loads(result.read_text())
+    document['trials'] = [{'depth_m': depth}]
+    document['after']['model'] += '+damage'
+    document['after']['parameters']['D'] = _parameter(0.4, '-', 0.01)
+    document['after']['parameters'][parameter]['value'] = value
+    result.write_text(json.dumps(document))
+    assert main(['export', str(result), '--format', 'haptic']) == 2
+    told = capsys.readouterr()
+    assert told.out == ''
+    assert says in told.err
+    assert told.err.count('\n') == 1
+
+
+@pytest.mark.parametrize('option', [['--poisson', '0.45'], SIZE, ['--shortest-time', '0.1']])
+def test_step_function_takes_no_option_of_a_continuum(
+    option: list[str], result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(result), '--format', 'haptic', *option]) == 2
+    assert 'leave out' in capsys.readouterr().err
 
 
 def test_step_function_needs_all_parameters(

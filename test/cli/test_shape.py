@@ -62,7 +62,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ('surface_9.ply', 'surface_9.vtk', 'cloud_9.ply', 'cloud_mine.ply'):
         (out / name).write_text('of an earlier run, or of somebody else')
     arguments = ['shape', str(_result(place / 'result.json')), str(CLOUDS), *TOOL]
-    assert main([*arguments, '--small', '--rounds', '1', '--cell', '5mm', '--out', str(out)]) == 0
+    arguments += ['--small', '--rounds', '1', '--links', 'alike', '--cell', '5mm']
+    assert main([*arguments, '--out', str(out)]) == 0
     return out
 
 
@@ -77,6 +78,7 @@ def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
     assert document['model'] == 'three-element'
     assert document['which'] == 'before'
     assert document['simulation']['small_displacements'] is True
+    assert document['simulation']['links'] == 'alike'
     # The true axis is the origin of the bag's frame; the tool is seen, and tells it.
     assert document['contact']['source'] == 'tool'
     assert abs(document['contact']['x_m']) < 5e-4
@@ -96,6 +98,25 @@ def test_the_numbers_of_a_shape_are_written(folder: Path) -> None:
     assert _no_nulls_without_reason(document)
 
 
+def test_a_model_that_no_link_carries_is_refused_before_the_clouds_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def observed(*_: object, **__: object) -> None:
+        raise AssertionError('the clouds are read')
+
+    monkeypatch.setattr('hapticvision_ros.core.surface.study.observe', observed)
+    result = _result(tmp_path / 'result.json', K1=-2000.0)
+    arguments = ['shape', str(result), str(CLOUDS), *TOOL, '--out', str(tmp_path / 'out')]
+    assert main(arguments) == 2
+    assert 'K1' in capsys.readouterr().err
+    document = json.loads(_result(result).read_text())
+    document['before']['model'] = 'three-element+springpot'
+    document['before']['parameters']['alpha'] = document['before']['parameters']['K1']
+    result.write_text(json.dumps(document))
+    assert main(arguments) == 2
+    assert 'springpot' in capsys.readouterr().err
+
+
 def test_friction_and_weight_are_declared(folder: Path, tmp_path: Path) -> None:
     arguments = ['shape', str(_result(tmp_path / 'result.json')), str(CLOUDS), *TOOL]
     arguments += ['--small', '--rounds', '1', '--cell', '5mm', '--out', str(tmp_path / 'out')]
@@ -109,6 +130,25 @@ def test_friction_and_weight_are_declared(folder: Path, tmp_path: Path) -> None:
     assert any('sinks for as long as it stands' in one for one in told['warnings'])
     # A foot that slides lets the sides go out, and the weight helps.
     assert told['bulge_m']['simulated'] > usual['bulge_m']['simulated'] + 2e-5
+
+
+def test_a_table_of_several_bags_has_the_numbers_of_each(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / 'copy'
+    shutil.copytree(CLOUDS, copy)
+    out = tmp_path / 'out'
+    bags = [str(CLOUDS), str(copy)]
+    arguments = ['shape', str(_result(tmp_path / 'result.json')), *bags, *TOOL, '--small']
+    arguments += ['--rounds', '1', '--links', 'alike', '--cell', '5mm', '--out', str(out)]
+    assert main(arguments) == 0
+    rows = json.loads((out / 'shapes.json').read_text())['trials']
+    assert [row['bag'] for row in rows] == bags
+    one = json.loads((folder / 'shape.json').read_text())
+    for row in rows:
+        assert row['links'] == 'alike'
+        for name in ('bouncing_m', 'residual_m', 'bulge_m', 'volume_change_m3'):
+            assert row[name] == one[name]
+        for name in ('rms_m', 'percentile_95_m', 'hausdorff_m'):
+            assert row[name] == one['after'][-1][name]
 
 
 def test_a_body_that_is_not_its_model_is_warned_of_with_what_helps(
@@ -164,6 +204,8 @@ def test_pictures_meshes_and_clouds_stand_beside(folder: Path) -> None:
         (WITHOUT_CLOUDS, TOOL, 'has no clouds'),
         (WITHOUT_RELEASE, TOOL, 'has no clouds'),
         (CLOUDS, ['--tool-radius', '8km'], 'is no size'),
+        (CLOUDS, ['--tool-radius', '8'], 'write millimetres as'),
+        (CLOUDS, [*TOOL, '--volume-ratio', '1e9'], '--volume-ratio'),
         (CLOUDS, [*TOOL, '--size', '48x36mm'], 'is no size of a block'),
         (CLOUDS, [*TOOL, '--rounds', '0'], 'one run or more'),
         (CLOUDS, [*TOOL, '--average', '0'], 'from 1 to'),

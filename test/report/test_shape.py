@@ -20,6 +20,8 @@ from hapticvision_ros.core.surface.mesh import Mesh
 from hapticvision_ros.core.surface.raster import ParallelView
 from hapticvision_ros.report.shape_gif import gif
 from hapticvision_ros.report.shape_picture import (
+    captioned,
+    colour_bar,
     coloured,
     draw,
     draw_with_tool,
@@ -117,6 +119,28 @@ def test_a_png_holds_the_picture() -> None:
     )
     read = cv2.imdecode(np.frombuffer(png(picture), np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(read[:, :, ::-1], picture)
+
+
+def test_a_caption_stands_over_the_picture_and_can_be_read() -> None:
+    plain = np.full((60, 240), 9, np.uint8)
+    strips = [captioned(plain, text)[:-60] for text in ('', 'measured', 'simulated')]
+    np.testing.assert_array_equal(captioned(plain, 'measured')[-60:], plain)
+    assert (strips[0] == Grey.PAGE).all()
+    assert not np.array_equal(strips[1], strips[2])
+    dark = [palette('height')[strip].mean(axis=2) for strip in strips]
+    # Letters as dark as print on a light page, and no block of ink.
+    assert dark[1].max() - dark[1].min() > 120
+    assert 0.01 < np.mean(dark[1] < dark[0] - 60) < 0.2
+
+
+def test_a_colour_bar_says_where_its_colours_end() -> None:
+    closed, open_ended = (
+        colour_bar(320, -1e-3, 1e-3, 'mm', factor=1e3, open_ended=end) for end in (False, True)
+    )
+    np.testing.assert_array_equal(closed[4:16], open_ended[4:16])
+    assert not np.array_equal(closed, open_ended)
+    other = colour_bar(320, -1e-3, 2e-3, 'mm', factor=1e3)
+    assert not np.array_equal(closed[16:], other[16:])
 
 
 def test_the_tip_of_a_ball_is_drawn() -> None:

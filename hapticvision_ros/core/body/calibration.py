@@ -241,12 +241,12 @@ def calibrate(
 
     Links that are alike everywhere, as of one material, come to a threshold or a power one after
     the other, and the body is not the chain that was identified. Links that are counted in what
-    the push stretches them by (`links.Shares`) come to it at once. These are tried first where
-    the model has such a law and the tool touches all at once, else those that are alike; the
-    other ones where the first do not follow the model within 1 %, but not where a flat tool comes
-    to a top that is not level, nor under a ball whose model has no contact that grows. A body with
-    weight has links that are alike: in the others a threshold would be as small as what the push
-    does to a link, and what hardly feels the push would flow under its weight.
+    the push stretches them by (`links.Shares`) come to it at once. These are tried first where the
+    model has such a law and the tool touches all at once, else those that are alike; the other
+    ones where the first do not follow the model within 1 %, but not under a ball whose model has
+    no contact that grows. A body with weight has links that are alike: in the others a threshold
+    would be as small as what the push does to a link, and what hardly feels the push would flow
+    under its weight.
 
     Parameters
     ----------
@@ -280,12 +280,12 @@ def calibrate(
     if alike is None:
         if around.density > 0.0:
             kinds = [True]
-        elif body.is_level:
-            first = not any(name in model.effects for name in _NOT_LINEAR)
-            kinds = [first, not first]
+        elif tool.sphere and _OF_A_SPHERE not in model.effects:
+            # No links follow a model whose contact does not grow.
+            kinds = [True]
         else:
-            # How fast links are stretched changes too much as nodes come to the tool.
-            kinds = [True, False] if _OF_A_SPHERE in model.effects else [True]
+            even = body.is_level and any(name in model.effects for name in _NOT_LINEAR)
+            kinds = [not even, even]
     found: list[Calibration] = []
     failed: list[InputError] = []
     for kind in kinds:

@@ -653,6 +653,23 @@ def test_a_body_that_thins_much_bears_the_push() -> None:
     assert found.off < 0.01
 
 
+def test_volumes_of_links_that_thin_are_as_stiff_as_the_links_where_these_are_slow() -> None:
+    given = {'K1': 8700.0, 'C1': 150000.0, 'C2': 39000.0, 'n': 0.3}
+    push = ToolMotion.trial(0.04, depth=0.008, push_speed=1.3e-3, hold=15.0, recovery=20.0)
+    model = Model(('shear_thinning',))
+    found = calibrate(BLOCK, model, given, DISC, push, rounds=1, alike=False)
+    # With the dashpot of a volume at the reference rate it is 5 %.
+    assert found.off < 0.015
+
+
+@pytest.mark.parametrize('density', [0.0, 1000.0])
+def test_a_body_with_weight_is_of_one_material(density: float) -> None:
+    around = Surroundings(density=density)
+    model = Model(('yield_force',))
+    found = calibrate(CUBE, model, IDENTIFIED, PLATE, BRIEF, around, rounds=1, accuracy=QUICK)
+    assert found.alike is (density > 0.0)
+
+
 def test_shares_are_those_of_the_depth() -> None:
     # One link whose share grows, and one whose share changes its sign.
     shares = Shares.at_depths(np.array([0.001, 0.003]), np.array([[[1.0, -0.1]], [[3.0, 0.3]]]))

@@ -90,6 +90,36 @@ def test_the_axis_of_a_tool_of_many_returns_is_found(record: Record) -> None:
     np.testing.assert_allclose(found.shift[:2], 0.0, atol=2e-4)
 
 
+def test_the_radius_of_the_tool_is_seen_whatever_was_told(record: Record) -> None:
+    wrong = replace(SETTINGS, tool_radius=0.8 * TOOL_RADIUS)
+    for settings in (SETTINGS, wrong):
+        radius = observe(record(), TOOL, PHASES, settings, contact=(0.0, 0.0)).tool_radius
+        assert radius.value is not None
+        assert radius.std is not None
+        assert radius.std < 1e-4
+        assert abs(radius.value - TOOL_RADIUS) < 4.0 * radius.std
+
+
+def test_a_short_noisy_arc_tells_no_radius(record: Record) -> None:
+    # A post before the tool leaves a piece of it to be seen.
+    def behind(frames: list[CloudFrame], width: float) -> list[CloudFrame]:
+        made = []
+        for frame in frames:
+            xyz = frame.xyz.copy()
+            tool = (xyz[..., 2] > SIZE[2] + 0.002) & (np.abs(xyz[..., 0]) > width)
+            xyz[tool] = np.nan
+            made.append(replace(frame, xyz=xyz))
+        return made
+
+    known = [
+        observe(behind(record(), width), TOOL, PHASES, SETTINGS, contact=(0.0, 0.0)).tool_radius
+        for width in (0.9 * TOOL_RADIUS, 0.3 * TOOL_RADIUS)
+    ]
+    assert known[0].value == pytest.approx(TOOL_RADIUS, rel=0.03)
+    assert known[1].value is None
+    assert 'no circle is seen' in (known[1].reason or '')
+
+
 def test_residual_and_bounce_are_those_of_the_dent(observed: Observation) -> None:
     surfaces = tuple(dented(true_depth(seen.t)) for seen in observed.after)
     found = measure(observed, dented(0.0), surfaces, depth=DEPTH, simulated_depth=0.010)
