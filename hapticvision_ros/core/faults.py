@@ -30,6 +30,9 @@ type Action = Literal[
 
 PHASES: Final = ('approach', 'push', 'hold', 'release', 'recover')
 """Phases of a push in which something may go wrong."""
+NEAR: Final = 'near the limit'
+"""In the push too: an object so hard that a push which nobody stops is far over the force limit,
+and a force that is nearly there."""
 
 ARM: Final = 'arm_push_controller'
 LOAD_CELL: Final = 'load_cell_driver'
@@ -74,7 +77,7 @@ class Fault:
     target : str
         The node, the stream of the simulated world or the request that it does it to.
     phase : str
-        When: one of `PHASES`, or `start` for before the goal is sent.
+        When: one of `PHASES`, `NEAR`, or `start` for before the goal is sent.
     how : str
         Further detail, such as the kind of distortion.
     must_stop : bool
@@ -156,7 +159,22 @@ def _distortions() -> Iterable[Fault]:
         },
         # Nothing that moves the arm relies on the range sensor during a push.
         'shape': dict.fromkeys(
-            ('silent', 'late', 'noisy', 'nan', 'an hour back', 'lossy', 'garbage'), False
+            (
+                'silent',
+                'late',
+                'slow',
+                'noisy',
+                'nan',
+                'frozen',
+                'an hour ahead',
+                'an hour back',
+                'lossy',
+                'twice',
+                'swapped',
+                'spike',
+                'garbage',
+            ),
+            False,
         ),
     }
     for stream, kinds in sensors.items():
@@ -167,6 +185,19 @@ def _distortions() -> Iterable[Fault]:
         yield Fault('distort', stream, 'hold', how)
     # A force that stands still in the air is found out in time, or by the missing touch.
     yield Fault('distort', 'force', 'approach', 'frozen')
+
+
+def _near_the_limit() -> Iterable[Fault]:
+    """Yield what may go wrong just before the force limit: a push stops, if not for it, there."""
+    for node in (ARM, LOAD_CELL, ORCHESTRATOR):
+        yield Fault('kill', node, NEAR)
+        yield Fault('hang', node, NEAR)
+    for how in ('silent', 'late', 'slow', 'noisy', 'nan', 'saturated', 'frozen', 'an hour back'):
+        yield Fault('distort', 'force', NEAR, how)
+    for how in ('lossy', 'twice', 'swapped', 'garbage'):
+        yield Fault('distort', 'force', NEAR, how)
+    for how in ('silent', 'late', 'nan', 'frozen', 'garbage'):
+        yield Fault('distort', 'arm', NEAR, how)
 
 
 def table() -> tuple[Fault, ...]:
@@ -184,10 +215,11 @@ def table() -> tuple[Fault, ...]:
         for node in (ARM, LOAD_CELL, ORCHESTRATOR, RANGE)
     ]
     faults += _distortions()
+    faults += _near_the_limit()
     faults += [Fault('call', target, 'push') for target in TOLD_TO_STOP]
     faults += [
         Fault('parameters', node, phase, must_stop=False)
-        for node, phase in ((ARM, 'push'), (ARM, 'hold'), (ORCHESTRATOR, 'push'))
+        for node, phase in (*((node, 'push') for node in NODES), (ARM, 'hold'))
     ]
     faults += [
         Fault('again', ORCHESTRATOR, 'push', must_stop=False),

@@ -91,7 +91,8 @@ PARAMETERS: Final = (
         'cloud_timeout',
         'double',
         's',
-        'A plan is refused when a cloud or the tool height has not come within this time.',
+        'A plan is refused when a cloud, the tool height or the picture of a camera has not come '
+        'within this time.',
         0.1,
         60.0,
     ),
@@ -451,10 +452,15 @@ class ContactPointPlanner(CellNode):
             waiting.set_result(serialised)
 
     def _latest_tool_height(self) -> float | None:
+        """Return where the tool is [m]; None where that has not been told for too long."""
         for message, _, _ in self._tool_heights.take():
             self._tool_height = float(message.data)
             self._tool_heard.note()
-        return self._tool_height
+        return self._tool_height if self._is_fresh(self._tool_heard) else None
+
+    def _is_fresh(self, heard: Heard) -> bool:
+        age = heard.age
+        return age is not None and age <= self.parameters.real('cloud_timeout')
 
     async def _plan(self, request: Any, response: Any) -> Any:
         """Answer once the clouds have come; other callbacks run in between."""
@@ -567,7 +573,8 @@ class ContactPointPlanner(CellNode):
             view, stamp_ns = await self._take_view(topic, deadline)
             views.append(view)
         ceiling = self._latest_tool_height()
-        assert ceiling is not None
+        if ceiling is None:
+            raise self._no_tool_height()
         self._take_picture(stamp_ns)
         self._ceilings.append(ceiling)
         return views, stamp_ns
@@ -582,10 +589,7 @@ class ContactPointPlanner(CellNode):
             if self._latest_tool_height() is None:
                 # The arm may just start; without its height the tool would be part of the object.
                 if time.monotonic() > deadline:
-                    raise InputError(
-                        f'No tool height came within {self.parameters.real("cloud_timeout"):g} s: '
-                        'see whether the arm push controller runs.'
-                    )
+                    raise self._no_tool_height()
                 continue
             poses.append(self._pose_of(frame, stamp_ns))
             clouds.append(xyz_from_message(message))
@@ -595,6 +599,12 @@ class ContactPointPlanner(CellNode):
         self._refuse_motion(name, poses)
         levelled = frame == POINTS.frame_id
         return View(mean_cloud(clouds), poses[-1], name, levelled), stamp_ns
+
+    def _no_tool_height(self) -> InputError:
+        return InputError(
+            f'No tool height came within {self.parameters.real("cloud_timeout"):g} s: see whether '
+            'the arm push controller runs.'
+        )
 
     def _refuse_motion(self, name: str, poses: Sequence[Pose]) -> None:
         """Refuse clouds of one view that were taken from several places."""
@@ -629,10 +639,11 @@ class ContactPointPlanner(CellNode):
         if not self.parameters.text('image_topic'):
             return
         image, info = self._image, self._info
-        if image is None or info is None:
+        if image is None or info is None or not self._is_fresh(self._image_heard):
             raise InputError(
                 f"No picture came on '{self.parameters.text('image_topic')}' and "
-                f"'{self.parameters.text('camera_info_topic')}': see whether the camera runs."
+                f"'{self.parameters.text('camera_info_topic')}' within "
+                f'{self.parameters.real("cloud_timeout"):g} s: see whether the camera runs.'
             )
         pose = self._pose_of(image.header.frame_id, ns_from_stamp(image.header.stamp))
         self._pictures.append(picture_from_messages(image, info, pose))

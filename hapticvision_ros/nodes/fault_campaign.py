@@ -48,14 +48,16 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.reader import read_trial
-from hapticvision_ros.core.errors import HapticVisionError
+from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.faults import (
     ARM,
     Fault,
+    LOAD_CELL,
     markdown,
     Measured,
+    NEAR,
     ORCHESTRATOR,
-    PHASES,
+    RANGE,
     row,
     table,
     verdict,
@@ -96,6 +98,11 @@ DURATION: Final = 1.5
 AT_REST: Final = 0.2
 """A tool that has not gone down for so long stands still [s]."""
 NEAR_LIMIT: Final = 0.97
+JUST_BEFORE: Final = 0.9
+"""Share of the force limit at which something goes wrong near it."""
+MATERIALS: Final = {NEAR: 'hard_dough'}
+USUAL: Final = 'soft_dough'
+"""What is pressed, of the simulated world's objects."""
 DEPTH: Final = 0.006
 """How deep the pushes go [m]."""
 SPEED: Final = 0.003
@@ -111,6 +118,16 @@ GARBAGE: Final[dict[str, dict[str, Any]]] = {
     # The last one is sound, but comes in a push.
     ARM: {'push_speed': float('nan'), 'max_force': 1e6, 'touch_force': 'much', 'depth': 0.005},
     ORCHESTRATOR: {'repeats': -1, 'speeds': [float('inf')], 'tick_period': 1e9, 'rest_time': 'a'},
+    LOAD_CELL: {'rate': 0.0, 'tare_spread': float('nan'), 'largest_gap': 'wide', 'capacity': -1.0},
+    RANGE: {'frame_timeout': float('nan'), 'least_share': 'all', 'least_points': 60},
+    'contact_point_planner': {
+        'tool_axis_x': float('inf'),
+        'clouds': 0,
+        'several_objects': 'both',
+        'seed': 3,
+    },
+    'phase_segmenter': {'contact_sigmas': float('nan'), 'rest_band': 'wide', 'tick_period': -1.0},
+    'rheology_fitter': {'memory': 1, 'displacement_source': 'guess', 'tick_period': float('inf')},
 }
 
 
@@ -173,6 +190,7 @@ class Campaign:
         }
         self._configure(ORCHESTRATOR, goal)
         self._world.ask('heal')
+        self._place(MATERIALS.get(fault.phase, USUAL))
         self._world.ask('watch')
         self._phases.clear()
         self._results.clear()
@@ -181,9 +199,9 @@ class Campaign:
         )
         if not answer.success:
             return self._refused(fault)
-        if fault.phase in PHASES:
-            self._until(lambda: fault.phase in self._phases or self._results, PHASE_DEADLINE)
-            if fault.phase not in self._phases:
+        if fault.phase != 'start':
+            self._until(lambda: self._due(fault) or self._results, PHASE_DEADLINE)
+            if not self._due(fault):
                 said = self._results[-1].message if self._results else 'nothing'
                 return self._measured(fault, folder, 0, f'{NEVER} {fault.phase}: {said}')
         fault_ns = time.time_ns()
@@ -198,6 +216,25 @@ class Campaign:
         if fault.action == 'emergency':
             self._button.publish(Bool(data=False))
         return self._measured(fault, folder, fault_ns, trouble)
+
+    def _place(self, material: str) -> None:
+        """Put a fresh object under the tool, as soon as that is out of the way."""
+        end = time.monotonic() + REST_DEADLINE
+        while True:
+            try:
+                self._world.ask('place', material=material)
+                return
+            except DeviceError:
+                if time.monotonic() > end:
+                    raise
+            self._spin(AT_REST)
+
+    def _due(self, fault: Fault) -> bool:
+        """Return whether the push has come to where the fault belongs."""
+        if fault.phase != NEAR:
+            return fault.phase in self._phases
+        force = _real(self._world.ask('report')['peak_force'])
+        return force is not None and force >= JUST_BEFORE * self._force_limit
 
     # -- what goes wrong ------------------------------------------------------------------------
 
@@ -314,7 +351,7 @@ class Campaign:
         if self._results:
             values = values_from_status(self._results[-1])
             outcome = values.get('outcome 1', values['status']).partition(':')[0].lower()
-        expected = fault.phase in PHASES
+        expected = fault.phase != 'start'
         kept, lost, readable = _bag(folder, fault_ns) if expected else (0.0, 0.0, False)
         return Measured(
             outcome=outcome,

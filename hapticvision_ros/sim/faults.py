@@ -27,7 +27,7 @@ import socket
 import time
 from typing import Final
 
-from hapticvision_ros.core.errors import DeviceError
+from hapticvision_ros.core.errors import DeviceError, InputError
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.protocol import (
     ARM,
@@ -169,6 +169,7 @@ class FaultyServer(WorldServer):
     def __init__(self, world: World, config: WorldConfig, port: int) -> None:
         super().__init__(world, config, port)
         self._truth = world
+        self._materials = config.material
         self._top = config.block.height
         self._distortions: dict[str, Distortion] = {}
         self._deaf = False
@@ -231,6 +232,12 @@ class FaultyServer(WorldServer):
             case {'request': 'mark_at', 'force': float() as force}:
                 self._mark_at = force
                 return {'answer': 'mark_at'}
+            case {'request': 'place', 'material': str() as name}:
+                try:
+                    self._truth.place_new_sample(self._materials(name))
+                except InputError as error:
+                    return {'answer': 'place', 'error': str(error)}
+                return {'answer': 'place'}
             case {'request': 'report'}:
                 return {'answer': 'report', **self._told()}
         return super()._handle(message, sender, now)
@@ -276,7 +283,7 @@ class FaultLink:
         Raises
         ------
         DeviceError
-            If there is none.
+            If there is none, or the world cannot do it.
 
         """
         for _ in range(10):
@@ -286,6 +293,8 @@ class FaultLink:
             except OSError:
                 continue
             if answer is not None and answer.get('answer') == request:
+                if 'error' in answer:
+                    raise DeviceError(str(answer['error']))
                 return answer
         raise DeviceError(f'the simulated world does not answer to "{request}": see its output')
 

@@ -155,9 +155,14 @@ class World:
         came = self.time if at is None else max(at, self.time)
         self._command_expires = came + self._config.arm.watchdog
 
-    def place_new_sample(self) -> None:
+    def place_new_sample(self, material: Material | None = None) -> None:
         """
         Put a fresh object under the tool.
+
+        Parameters
+        ----------
+        material : Material, optional
+            What it is made of; by default as the one before.
 
         Raises
         ------
@@ -170,7 +175,11 @@ class World:
                 'the tool is in the way of a new sample: raise it above '
                 f'{self._config.block.height * 1e3:g} mm first'
             )
-        self._object.reset()
+        if material is None:
+            self._object.reset()
+            return
+        self._soft = _soft_object(self._config, material)
+        self._object = self._soft or DeformableObject(material, self._config.time_step)
 
     def advance(self, to_time: float) -> Readings:
         """

@@ -31,6 +31,8 @@ CELLS = (
     'arm_push_controller killed in push',
     'load_cell_driver killed in push',
     'experiment_orchestrator killed in hold',
+    'force silent in near the limit',
+    'phase_segmenter gets garbage parameters in push',
     # What comes last shows that all of them came back.
     'disk: full in push',
 )

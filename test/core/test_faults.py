@@ -22,6 +22,7 @@ from hapticvision_ros.core.faults import (
     Fault,
     markdown,
     Measured,
+    NEAR,
     NODES,
     ORCHESTRATOR,
     PHASES,
@@ -29,7 +30,7 @@ from hapticvision_ros.core.faults import (
     table,
     verdict,
 )
-from hapticvision_ros.nodes.fault_campaign import DEPTH, SPEED
+from hapticvision_ros.nodes.fault_campaign import DEPTH, GARBAGE, SPEED
 import pytest
 
 MUST_STOP = Fault('distort', 'force', 'push', 'silent')
@@ -49,7 +50,23 @@ GOOD = Measured(
 
 def test_each_node_dies_in_each_phase():
     killed = {(fault.target, fault.phase) for fault in table() if fault.action == 'kill'}
-    assert killed == {(node, phase) for node in NODES for phase in PHASES}
+    assert {pair for pair in killed if pair[1] != NEAR} == {
+        (node, phase) for node in NODES for phase in PHASES
+    }
+
+
+def test_each_node_gets_garbage():
+    assert {fault.target for fault in table() if fault.action == 'parameters'} == set(NODES)
+    assert set(GARBAGE) == set(NODES)
+
+
+def test_whatever_happens_near_the_limit_the_push_has_to_stop():
+    near = [fault for fault in table() if fault.phase == NEAR]
+    assert all(fault.must_stop for fault in near)
+    assert {fault.action for fault in near} == {'kill', 'hang', 'distort'}
+    # What a push into the hard dough comes to that nobody stops.
+    whole = replace(GOOD, peak_force=30.8)
+    assert {verdict(fault, whole) for fault in near} == {'too much force'}
 
 
 def test_the_table_has_at_least_sixty_cells_and_none_twice():

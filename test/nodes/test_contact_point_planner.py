@@ -14,6 +14,9 @@
 
 """The contact-point planner as a process, on clouds that the test sends."""
 
+from dataclasses import replace
+import time
+
 from hapticvision_ros.bag.contract import (
     ADD_VIEW,
     CLEAR_VIEWS,
@@ -169,6 +172,43 @@ def test_views_of_several_sensors_make_one_plan(start_node, probe, until):
     assert probe.call(CLEAR_VIEWS, Trigger.Request()).message == '0 views were forgotten.'
 
 
+def test_several_fixed_sensors_are_heard_together_in_each_plan(start_node, probe):
+    solid = block(0.07, 0.05, 0.04).at(0.003, -0.002, 0.3)
+    left, right = (Camera(azimuth, 0.7, width=160, height=120) for azimuth in (0.5, 0.5 + np.pi))
+    start_node(
+        'contact_point_planner',
+        {
+            'cloud_timeout': 20.0,
+            'clouds': 2,
+            'other_points': '/second_sensor/points',
+            'sensor_frames': 'left right',
+            'sensor_poses': [*numbers_of(left), *numbers_of(right)],
+        },
+    )
+    arm = probe.publisher(TOOL_HEIGHT)
+    sensors = [
+        (probe.publisher(topic), frame, take(camera, [solid]).xyz)
+        for topic, frame, camera in (
+            (POINTS, 'left', left),
+            (replace(POINTS, name='/second_sensor/points'), 'right', right),
+        )
+    ]
+
+    def send():
+        stamp = probe.node.get_clock().now().nanoseconds
+        arm.publish(scalar_to_message(0.12))
+        for publisher, frame, cloud in sensors:
+            publisher.publish(cloud_to_message(RangeFrame(stamp, cloud), frame))
+
+    timer = probe.node.create_timer(0.05, send)
+    # For each push of an experiment anew, without another word.
+    answers = [probe.call(PLAN, Trigger.Request(), DEADLINE) for _ in range(2)]
+    probe.node.destroy_timer(timer)
+    for answer in answers:
+        assert answer.success, answer.message
+        assert 'from 2 views' in answer.message
+
+
 @pytest.mark.parametrize(
     ('blocks', 'sentence'),
     [
@@ -202,6 +242,22 @@ def test_without_the_tools_height_the_tool_is_not_taken_for_the_object(start_nod
     assert not answer.success
     # On a loaded machine the clouds may not come either.
     assert 'No tool height came within 1 s' in answer.message or 'No cloud' in answer.message
+
+
+def test_a_height_that_the_arm_told_long_ago_is_none(start_node, probe, show):
+    start_node('contact_point_planner', {'cloud_timeout': 2.0, 'clouds': 1})
+    arm = probe.publisher(TOOL_HEIGHT)
+    show(top_view((0.0, 0.0, 0.08, 0.05)), tool_height=None)
+    timer = probe.node.create_timer(0.05, lambda: arm.publish(scalar_to_message(2.0 * TOP)))
+    end = time.monotonic() + DEADLINE
+    while not (answer := probe.call(PLAN, Trigger.Request(), DEADLINE)).success:
+        assert time.monotonic() < end, answer.message
+    probe.node.destroy_timer(timer)
+    # The clouds go on, and the arm is heard no more.
+    while 'No tool height came within 2 s' not in answer.message:
+        assert time.monotonic() < end, answer.message
+        answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert not answer.success
 
 
 def test_clouds_in_a_foreign_frame_are_refused(planner, probe, show):
@@ -389,6 +445,16 @@ def test_a_picture_gives_back_an_edge_that_the_cloud_lost(see, probe, until, dia
     x, y, _ = point_from_message(contacts[-1])
     # Without the picture it is off by half of the strip of 5 mm.
     assert np.hypot(x - 0.01, y + 0.005) < 1e-3
+
+    # A camera that has stopped: its last picture is of another object.
+    del see['picture']
+    probe.set_parameters('contact_point_planner', {'cloud_timeout': 1.0})
+    planner.wait(
+        'clouds', lambda s, v: s.level == s.WARN and 'picture' in s.message, 'the old picture'
+    )
+    answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
+    assert not answer.success
+    assert 'No picture came' in answer.message or 'No cloud came' in answer.message
 
 
 def test_a_picture_of_something_else_is_told_and_not_used(see, probe, until):
