@@ -145,7 +145,7 @@ def test_each_topic_has_one_node_that_publishes_it_and_each_service_one_server()
 def test_only_orchestrator_and_operator_may_ask_for_motion() -> None:
     controller = '/arm_push_controller'
     moving = {f'{controller}/{name}' for name in ('enable', 'start', 'retract')}
-    moving.add('/experiment/start')
+    moving |= {'/experiment/enable', '/experiment/start'}
     assert moving <= set(TABLE)
     for enclave in POLICY:
         asked = _allowed(enclave, 'request') & moving

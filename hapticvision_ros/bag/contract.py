@@ -410,11 +410,16 @@ FIT: Final = Service(
 RESET: Final = Service(
     '/rheology_fitter/reset', 'std_srvs/srv/Trigger', 'Forget what has been received.'
 )
+ENABLE_EXPERIMENT: Final = Service(
+    '/experiment/enable',
+    'std_srvs/srv/SetBool',
+    'Allow the motion of the next goal, or forbid it; forbidding cancels a running one.',
+)
 START_EXPERIMENT: Final = Service(
     '/experiment/start',
     'std_srvs/srv/Trigger',
     "Send a goal: the grid in the orchestrator's present parameters, with `autonomous` also the "
-    "pushes that the analysis asks for; answers with the goal's id.",
+    "pushes that the analysis asks for; refused unless enabled; answers with the goal's id.",
 )
 CANCEL_EXPERIMENT: Final = Service(
     '/experiment/cancel', 'action_msgs/srv/CancelGoal', 'Cancel the running goal.'
@@ -431,6 +436,7 @@ SERVICES: Final = (
     RETRACT,
     FIT,
     RESET,
+    ENABLE_EXPERIMENT,
     START_EXPERIMENT,
     CANCEL_EXPERIMENT,
 )

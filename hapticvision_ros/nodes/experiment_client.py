@@ -30,6 +30,7 @@ from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
+    ENABLE_EXPERIMENT,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
@@ -46,7 +47,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 NAME: Final = 'experiment_client'
 SERVER: Final = 'experiment_orchestrator'
@@ -132,9 +133,14 @@ class ExperimentClient:
             If it refuses the goal.
 
         """
-        answer = self._call_service(START_EXPERIMENT, Trigger.Request())
-        if not answer.success:
-            raise UsageError(answer.message)
+        # Who calls this command wants the arm to move, once.
+        for service, request in (
+            (ENABLE_EXPERIMENT, SetBool.Request(data=True)),
+            (START_EXPERIMENT, Trigger.Request()),
+        ):
+            answer = self._call_service(service, request)
+            if not answer.success:
+                raise UsageError(answer.message)
         self._goal_id = answer.message
         self._heard = time.monotonic()
         deadline: float | None = None

@@ -16,9 +16,10 @@
 Run an experiment: a grid of pushes, then those that its analysis asks for, each to its own bag.
 
 An action server on standard types: a goal is sent with ``/experiment/start`` (its content is the
-node's parameters), ``/experiment/cancel`` ends it, ``/experiment/status`` tells its state,
-``/experiment/feedback`` its progress and ``/experiment/result`` how it ended. What happens when
-something fails is told in `hapticvision_ros.core.experiment.Experiment`.
+node's parameters) once ``/experiment/enable`` has allowed its motion, ``/experiment/cancel`` ends
+it, ``/experiment/status`` tells its state, ``/experiment/feedback`` its progress and
+``/experiment/result`` how it ended. What happens when something fails is told in
+`hapticvision_ros.core.experiment.Experiment`.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,6 +40,7 @@ from hapticvision_ros.bag.contract import (
     DISPLACEMENT_HEIGHT,
     EMERGENCY_STOP,
     ENABLE,
+    ENABLE_EXPERIMENT,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
@@ -406,6 +408,7 @@ class ExperimentOrchestrator(CellNode):
         self._asked: tuple[Service, Any] = (STOP, None)
         self._owed: tuple[Service, Any] | None = None
         self._emergency = False
+        self._allowed = False
         self._ask_again_at = 0.0
         self._sample: _NewSample | None = None
         self._cell: Cell | None = None
@@ -446,6 +449,7 @@ class ExperimentOrchestrator(CellNode):
         self._feedback_publisher = create_publisher(self, EXPERIMENT_FEEDBACK)
         self._result_publisher = create_publisher(self, EXPERIMENT_RESULT)
         refuse_changes_while_pushing(self, PHASE)
+        create_service(self, ENABLE_EXPERIMENT, self._on_enable)
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
         diagnostics = Diagnostics(self)
@@ -489,6 +493,27 @@ class ExperimentOrchestrator(CellNode):
 
     # -- the action's services ------------------------------------------------------------------
 
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        """Allow one goal, or forbid the next and end a running one."""
+        experiment = self._experiment
+        running = experiment is not None and not experiment.status.terminal
+        self._allowed = False
+        response.success = not request.data
+        if not request.data:
+            response.message = 'No goal may move the arm.'
+            if experiment is not None and experiment.cancel(time.monotonic()):
+                self.get_logger().info(f'goal {self._goal_id()}: motion is forbidden')
+                response.message += ' The running one is being cancelled.'
+                self._publish_status()
+        elif running:
+            response.message = f'goal {self._goal_id()} is running: cancel it first.'
+        elif self._emergency:
+            response.message = EMERGENCY
+        else:
+            self._allowed = response.success = True
+            response.message = 'The next goal may move the arm.'
+        return response
+
     def _on_start(self, request: Any, response: Any) -> Any:
         """Accept or refuse a goal."""
         response.success = False
@@ -498,6 +523,12 @@ class ExperimentOrchestrator(CellNode):
         if self._emergency:
             # Else the arm would move on its own as soon as the stop is released.
             response.message = EMERGENCY
+            return response
+        if not self._allowed:
+            response.message = (
+                f'Nobody has allowed the arm to move: call {ENABLE_EXPERIMENT.name} with true '
+                'first; it holds for one goal.'
+            )
             return response
         values = self.parameters
         try:
@@ -526,6 +557,7 @@ class ExperimentOrchestrator(CellNode):
             margin=values.real('push_margin'),
             analysis=values.real('analysis_deadline'),
         )
+        self._allowed = False
         self._experiment = Experiment(
             goal, deadlines, values.integer('max_failures'), time.monotonic()
         )
@@ -900,6 +932,7 @@ class ExperimentOrchestrator(CellNode):
 
     def _on_emergency_stop(self, message: Any) -> None:
         self._emergency = bool(message.data)
+        self._allowed = self._allowed and not self._emergency
         if self._emergency and self._experiment is not None:
             self._experiment.forbidden(STOPPED_BY_HAND, time.monotonic())
 

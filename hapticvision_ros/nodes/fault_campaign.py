@@ -38,6 +38,7 @@ from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
     EMERGENCY_STOP,
     ENABLE,
+    ENABLE_EXPERIMENT,
     EXPERIMENT_RESULT,
     PHASE,
     PUSH_REPORT,
@@ -194,9 +195,7 @@ class Campaign:
         self._world.ask('watch')
         self._phases.clear()
         self._results.clear()
-        answer = self._call(
-            self._service(START_EXPERIMENT), Trigger.Request(), START_EXPERIMENT.name
-        )
+        answer = self._started()
         if not answer.success:
             return self._refused(fault)
         if fault.phase != 'start':
@@ -216,6 +215,14 @@ class Campaign:
         if fault.action == 'emergency':
             self._button.publish(Bool(data=False))
         return self._measured(fault, folder, fault_ns, trouble)
+
+    def _started(self) -> Any:
+        """Send a goal that may move the arm, and return the answer."""
+        request = SetBool.Request(data=True)
+        self._call(self._service(ENABLE_EXPERIMENT), request, ENABLE_EXPERIMENT.name)
+        return self._call(
+            self._service(START_EXPERIMENT), Trigger.Request(), START_EXPERIMENT.name
+        )
 
     def _place(self, material: str) -> None:
         """Put a fresh object under the tool, as soon as that is out of the way."""
@@ -271,8 +278,7 @@ class Campaign:
             case 'parameters':
                 return self._mislead(fault.target)
             case 'again':
-                client = self._service(START_EXPERIMENT)
-                if self._call(client, Trigger.Request(), START_EXPERIMENT.name).success:
+                if self._started().success:
                     return 'a second goal was accepted'
         return ''
 

@@ -34,6 +34,7 @@ from hapticvision_ros.bag.contract import (
     CANCEL_EXPERIMENT,
     DISPLACEMENT_HEIGHT,
     ENABLE,
+    ENABLE_EXPERIMENT,
     EXPERIMENT_FEEDBACK,
     EXPERIMENT_RESULT,
     EXPERIMENT_STATUS,
@@ -68,6 +69,7 @@ from hapticvision_ros.nodes.experiment_orchestrator import (
 from lifecycle_msgs.msg import State
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
@@ -130,6 +132,12 @@ def cell(world: int, start_node: Any, tmp_path: Path, orchestrator: str) -> dict
     }
 
 
+def begin(probe):
+    """Allow motion, send the goal and return the answer."""
+    probe.call(ENABLE_EXPERIMENT, SetBool.Request(data=True), START)
+    return probe.call(START_EXPERIMENT, Trigger.Request(), START)
+
+
 def states(heard: list[Any], goal_id: str) -> list[int]:
     """Return the states that a goal has gone through."""
     return [
@@ -149,9 +157,9 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
     phases = probe.listen(PHASE)
     (result,) = probe.set_parameters('experiment_orchestrator', {'repeats': 2})
     assert result.successful, result.reason
-    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    answer = begin(probe)
     assert answer.success, answer.message
-    again = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    again = begin(probe)
     assert not again.success
     assert 'cancel it first' in again.message
     until(
@@ -190,14 +198,14 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
     assert float(live['push_speed_m_s']) == pytest.approx(phases_found.push_speed, rel=1e-3)
     assert float(live['depth_m']) == pytest.approx(phases_found.depth, abs=2.0 * sample)
 
-    refused = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    refused = begin(probe)
     assert not refused.success, 'nothing is overwritten'
     assert 'exists already' in refused.message
 
 
 def test_a_cancelled_push_keeps_its_bag_and_says_so(cell, probe, until):
     results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
-    goal_id = probe.call(START_EXPERIMENT, Trigger.Request(), START).message
+    goal_id = begin(probe).message
     until(
         lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
     )
@@ -221,14 +229,14 @@ def test_after_an_emergency_stop_nothing_moves_until_somebody_starts_anew(cell, 
     goal = {'repeats': 3, 'hold_time': 60.0, 'rest_time': 0.1}
     answers = probe.set_parameters('experiment_orchestrator', goal)
     assert all(answer.successful for answer in answers), answers
-    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+    assert begin(probe).success
     until(
         lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
     )
     assert not results, values_from_status(results[-1])
     button.publish(Bool(data=True))
     until(lambda: phases[-1].data == 'aborted', 'the end of the push')
-    refused = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    refused = begin(probe)
     assert not refused.success
     # Released at once: the experiment has not forgotten it.
     button.publish(Bool(data=False))
@@ -247,7 +255,7 @@ def test_an_experiment_does_not_allow_what_somebody_has_forbidden(cell, probe, u
     goal = {'repeats': 2, 'hold_time': 0.5, 'recover_time': 0.5, 'rest_time': 3.0}
     answers = probe.set_parameters('experiment_orchestrator', goal)
     assert all(answer.successful for answer in answers), answers
-    assert probe.call(START_EXPERIMENT, Trigger.Request(), START).success
+    assert begin(probe).success
     until(
         lambda: any(values_from_status(item)['step'] == 'rest' for item in feedback) or results,
         'the rest or an end',
@@ -270,10 +278,7 @@ def test_an_arm_that_dies_in_mid_push_aborts_the_experiment_and_the_bag_is_kept(
     results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
     probe.set_parameters('experiment_orchestrator', {'service_deadline': 5.0, 'hold_time': 20.0})
     until(
-        lambda: (
-            probe.call(START_EXPERIMENT, Trigger.Request(), START).success
-            or pytest.fail('refused')
-        ),
+        lambda: begin(probe).success or pytest.fail('refused'),
         'the goal',
         START,
     )
@@ -295,7 +300,7 @@ def test_an_orchestrator_that_is_stopped_stops_the_arm_and_tells_how_the_experim
 ):
     results, phases = probe.listen(EXPERIMENT_RESULT), probe.listen(PHASE)
     probe.set_parameters('experiment_orchestrator', {'hold_time': 60.0})
-    answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+    answer = begin(probe)
     assert answer.success, answer.message
     until(
         lambda: any(item.data == 'hold' for item in phases) or results, 'the hold or an end', SLOW
@@ -351,7 +356,7 @@ class TestAnAutonomousExperiment:
         goal |= {'budget_trials': 1, 'feedback_period': 60.0}
         answers = probe.set_parameters('experiment_orchestrator', goal)
         assert all(answer.successful for answer in answers), answers
-        answer = probe.call(START_EXPERIMENT, Trigger.Request(), START)
+        answer = begin(probe)
         assert answer.success, answer.message
         until(lambda: results, 'the result', SLOW)
         values = values_from_status(results[-1])
@@ -477,6 +482,36 @@ def test_an_end_that_came_outside_of_a_tick_is_told(node, monkeypatch):
     assert told == [GoalStatus.ABORTED]
 
 
+def answered(node, *, allow):
+    """Return the answer of an orchestrator in the test process that is told to allow motion."""
+    return node._on_enable(SetBool.Request(data=allow), SetBool.Response())
+
+
+def test_motion_is_allowed_for_one_goal(node):
+    (output,) = node.set_parameters([Parameter('output_folder', value=str(node._folder))])
+    assert output.successful, output.reason
+    assert answered(node, allow=True).success
+    assert node._on_start(Trigger.Request(), Trigger.Response()).success
+    experiment = node._experiment
+    running = answered(node, allow=True)
+    assert not running.success
+    assert 'cancel it first' in running.message
+    forbidden = answered(node, allow=False)
+    assert forbidden.success
+    assert 'being cancelled' in forbidden.message
+    assert experiment.status is GoalStatus.CANCELING
+    node._experiment = None
+    assert 'Nobody has allowed' in node._on_start(Trigger.Request(), Trigger.Response()).message
+
+
+def test_what_was_allowed_before_an_emergency_stop_is_not_allowed_after_it(node):
+    assert answered(node, allow=True).success
+    node._on_emergency_stop(Bool(data=True))
+    assert not answered(node, allow=True).success
+    node._on_emergency_stop(Bool(data=False))
+    assert 'Nobody has allowed' in node._on_start(Trigger.Request(), Trigger.Response()).message
+
+
 @pytest.mark.parametrize('begun', [True, False])
 def test_a_controller_that_was_deactivated_between_two_pushes_stays_so(node, monkeypatch, begun):
     inactive = SimpleNamespace(current_state=SimpleNamespace(id=State.PRIMARY_STATE_INACTIVE))
@@ -549,7 +584,14 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once_to_the_client_of_a_c
     start_node, probe
 ):
     start_node('experiment_orchestrator', {'output_folder': '/proc/nowhere'}, '-r', '__ns:=/cell1')
-    start = replace(START_EXPERIMENT, name=f'/cell1{START_EXPERIMENT.name}')
+    start, enable = (
+        replace(service, name=f'/cell1{service.name}')
+        for service in (START_EXPERIMENT, ENABLE_EXPERIMENT)
+    )
+    answer = probe.call(start, Trigger.Request(), START)
+    assert not answer.success
+    assert 'call /experiment/enable with true first' in answer.message
+    assert probe.call(enable, SetBool.Request(data=True), START).success
     answer = probe.call(start, Trigger.Request(), START)
     assert not answer.success
     assert 'cannot be used for the bags' in answer.message
