@@ -413,7 +413,7 @@ RESET: Final = Service(
 ENABLE_EXPERIMENT: Final = Service(
     '/experiment/enable',
     'std_srvs/srv/SetBool',
-    'Allow the motion of the next goal, or forbid it; forbidding cancels a running one.',
+    'Allow the next start to move the arm, or forbid it; forbidding cancels a running goal.',
 )
 START_EXPERIMENT: Final = Service(
     '/experiment/start',

@@ -453,9 +453,10 @@ class ContactPointPlanner(CellNode):
 
     def _latest_tool_height(self) -> float | None:
         """Return where the tool is [m]; None where that has not been told for too long."""
-        for message, _, _ in self._tool_heights.take():
+        for message, _, received_ns in self._tool_heights.take():
             self._tool_height = float(message.data)
-            self._tool_heard.note()
+            # Nobody may have looked since it came.
+            self._tool_heard.note(ago=(time.time_ns() - received_ns) / NS_PER_S)
         return self._tool_height if self._is_fresh(self._tool_heard) else None
 
     def _is_fresh(self, heard: Heard) -> bool:

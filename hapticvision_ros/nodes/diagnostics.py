@@ -168,10 +168,20 @@ class Heard:
         self._last: float | None = None
         self._count = 0
 
-    def note(self, count: int = 1) -> None:
-        """Note that so many messages have just come."""
+    def note(self, count: int = 1, *, ago: float = 0.0) -> None:
+        """
+        Note that so many messages have come.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        ago : float
+            How long ago the last one came [s].
+
+        """
         if count:
-            self._last = time.monotonic()
+            self._last = time.monotonic() - ago
             self._count += count
 
     @property

@@ -103,6 +103,7 @@ from hapticvision_ros.nodes.qos import (
     create_publisher,
     create_service,
     create_subscription,
+    relative_name,
 )
 from hapticvision_ros.nodes.recorder import (
     check_room,
@@ -500,11 +501,12 @@ class ExperimentOrchestrator(CellNode):
         self._allowed = False
         response.success = not request.data
         if not request.data:
-            response.message = 'No goal may move the arm.'
+            response.message = 'The next goal may not move the arm.'
             if experiment is not None and experiment.cancel(time.monotonic()):
                 self.get_logger().info(f'goal {self._goal_id()}: motion is forbidden')
-                response.message += ' The running one is being cancelled.'
                 self._publish_status()
+            if running:
+                response.message += ' The running one is being cancelled: the tool retracts.'
         elif running:
             response.message = f'goal {self._goal_id()} is running: cancel it first.'
         elif self._emergency:
@@ -525,11 +527,14 @@ class ExperimentOrchestrator(CellNode):
             response.message = EMERGENCY
             return response
         if not self._allowed:
+            enable = self.resolve_service_name(relative_name(ENABLE_EXPERIMENT.name))
             response.message = (
-                f'Nobody has allowed the arm to move: call {ENABLE_EXPERIMENT.name} with true '
-                'first; it holds for one goal.'
+                f'Nobody has allowed the arm to move: call {enable} with true first; it holds '
+                'for one start.'
             )
             return response
+        # Also where the goal is refused below: who repairs it allows the motion anew.
+        self._allowed = False
         values = self.parameters
         try:
             goal = ExperimentGoal(
@@ -557,7 +562,6 @@ class ExperimentOrchestrator(CellNode):
             margin=values.real('push_margin'),
             analysis=values.real('analysis_deadline'),
         )
-        self._allowed = False
         self._experiment = Experiment(
             goal, deadlines, values.integer('max_failures'), time.monotonic()
         )

@@ -49,7 +49,7 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.reader import read_trial
-from hapticvision_ros.core.errors import DeviceError, HapticVisionError
+from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.core.faults import (
     ARM,
     Fault,
@@ -98,9 +98,12 @@ DURATION: Final = 1.5
 """How long a device goes wrong or a process hangs [s]."""
 AT_REST: Final = 0.2
 """A tool that has not gone down for so long stands still [s]."""
-NEAR_LIMIT: Final = 0.97
-JUST_BEFORE: Final = 0.9
+AT_LIMIT: Final = 0.97
+"""Share of the force limit from which on a push that takes too much has come to it."""
+DUE: Final = 0.9
 """Share of the force limit at which something goes wrong near it."""
+STILL_GOING: Final = 0.02
+"""A tool that went down so short a time ago goes down [s]."""
 MATERIALS: Final = {NEAR: 'hard_dough'}
 USUAL: Final = 'soft_dough'
 """What is pressed, of the simulated world's objects."""
@@ -191,7 +194,7 @@ class Campaign:
         }
         self._configure(ORCHESTRATOR, goal)
         self._world.ask('heal')
-        self._place(MATERIALS.get(fault.phase, USUAL))
+        self._world.ask('material', name=MATERIALS.get(fault.phase, USUAL))
         self._world.ask('watch')
         self._phases.clear()
         self._results.clear()
@@ -224,24 +227,17 @@ class Campaign:
             self._service(START_EXPERIMENT), Trigger.Request(), START_EXPERIMENT.name
         )
 
-    def _place(self, material: str) -> None:
-        """Put a fresh object under the tool, as soon as that is out of the way."""
-        end = time.monotonic() + REST_DEADLINE
-        while True:
-            try:
-                self._world.ask('place', material=material)
-                return
-            except DeviceError:
-                if time.monotonic() > end:
-                    raise
-            self._spin(AT_REST)
-
     def _due(self, fault: Fault) -> bool:
         """Return whether the push has come to where the fault belongs."""
         if fault.phase != NEAR:
             return fault.phase in self._phases
         force = _real(self._world.ask('report')['peak_force'])
-        return force is not None and force >= JUST_BEFORE * self._force_limit
+        return force is not None and force >= DUE * self._force_limit
+
+    def _pushes(self) -> bool:
+        """Return whether the tool goes down at this moment."""
+        resting = _real(self._world.ask('report')['resting'])
+        return resting is not None and resting < STILL_GOING
 
     # -- what goes wrong ------------------------------------------------------------------------
 
@@ -249,9 +245,11 @@ class Campaign:
         """Let it go wrong, and return what was not as it has to be."""
         if fault.target == 'force limit':
             # A little before: what is read has noise, so that the limit itself may not be reached.
-            self._world.ask('mark_at', force=NEAR_LIMIT * self._force_limit)
+            self._world.ask('mark_at', force=AT_LIMIT * self._force_limit)
             return ''
         self._world.ask('mark')
+        if fault.phase == NEAR and not self._pushes():
+            return f'{NEVER} {NEAR}: the limit ended the push before'
         match fault.action:
             case 'kill':
                 os.kill(process_of(fault.target), signal.SIGKILL)
@@ -391,11 +389,16 @@ class Campaign:
             parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         )
         client = self._client(SetParameters, f'{name}/set_parameters')
-        results = self._call(client, request, f'the parameters of {name}').results
-        refusals = [item.reason for item in results if not item.successful]
-        if refusals and strict:
-            raise HapticVisionError(f'{name} refuses its parameters: {" ".join(refusals)}')
-        return not refusals
+        end = time.monotonic() + REST_DEADLINE
+        while True:
+            results = self._call(client, request, f'the parameters of {name}').results
+            refusals = [item.reason for item in results if not item.successful]
+            if not refusals or not strict:
+                return not refusals
+            if time.monotonic() > end:
+                raise HapticVisionError(f'{name} refuses its parameters: {" ".join(refusals)}')
+            # A tool that was left low may still be on its way up.
+            self._spin(AT_REST)
 
     def _call(self, client: Any, request: Any, what: str) -> Any:
         end = time.monotonic() + ANSWER_DEADLINE

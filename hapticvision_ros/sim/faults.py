@@ -27,7 +27,7 @@ import socket
 import time
 from typing import Final
 
-from hapticvision_ros.core.errors import DeviceError, InputError
+from hapticvision_ros.core.errors import DeviceError
 from hapticvision_ros.sim.config import WorldConfig
 from hapticvision_ros.sim.protocol import (
     ARM,
@@ -232,12 +232,10 @@ class FaultyServer(WorldServer):
             case {'request': 'mark_at', 'force': float() as force}:
                 self._mark_at = force
                 return {'answer': 'mark_at'}
-            case {'request': 'place', 'material': str() as name}:
-                try:
-                    self._truth.place_new_sample(self._materials(name))
-                except InputError as error:
-                    return {'answer': 'place', 'error': str(error)}
-                return {'answer': 'place'}
+            case {'request': 'material', 'name': str() as name}:
+                # Of the next sample: who presses sees to it that the tool is out of the way.
+                self.material = self._materials(name)
+                return {'answer': 'material'}
             case {'request': 'report'}:
                 return {'answer': 'report', **self._told()}
         return super()._handle(message, sender, now)
@@ -283,7 +281,7 @@ class FaultLink:
         Raises
         ------
         DeviceError
-            If there is none, or the world cannot do it.
+            If there is none.
 
         """
         for _ in range(10):
@@ -293,8 +291,6 @@ class FaultLink:
             except OSError:
                 continue
             if answer is not None and answer.get('answer') == request:
-                if 'error' in answer:
-                    raise DeviceError(str(answer['error']))
                 return answer
         raise DeviceError(f'the simulated world does not answer to "{request}": see its output')
 

@@ -34,6 +34,7 @@ from types import FrameType
 
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError, InputError, UsageError
 from hapticvision_ros.sim.config import load_config, WorldConfig
+from hapticvision_ros.sim.objects import Material
 from hapticvision_ros.sim.protocol import (
     ARM,
     ARM_PACKET,
@@ -73,6 +74,11 @@ class WorldServer:
     port : int
         UDP port on loopback; 0 for a free one.
 
+    Attributes
+    ----------
+    material : Material or None
+        What the next sample is made of; None for what the one before was.
+
     Raises
     ------
     DeviceError
@@ -84,6 +90,7 @@ class WorldServer:
 
     def __init__(self, world: World, config: WorldConfig, port: int) -> None:
         self._world = world
+        self.material: Material | None = None
         self._scene = {
             'block': asdict(config.block),
             'tool_radius': config.arm.tool_radius,
@@ -168,7 +175,7 @@ class WorldServer:
                 return None
             case {'request': 'place_new_sample'}:
                 try:
-                    self._world.place_new_sample()
+                    self._world.place_new_sample(self.material)
                 except HapticVisionError as error:
                     return {'answer': 'place_new_sample', 'error': str(error)}
                 return {'answer': 'place_new_sample'}

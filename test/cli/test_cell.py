@@ -14,7 +14,6 @@
 
 """The verb `cell`: what it refuses, and that it starts and stops the whole cell."""
 
-import itertools
 import json
 import os
 from pathlib import Path
@@ -187,7 +186,7 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     assert bulge['simulated'] == pytest.approx(bulge['measured'], abs=8e-5)
 
 
-def test_a_running_cell_decides_what_its_grid_leaves_open(domain, tmp_path):
+def test_a_running_cell_decides_for_a_yield_force_that_nobody_told(domain, tmp_path):
     # One push; what the grid alone makes of it differs from run to run (doc/autonomous.md).
     config = tmp_path / 'config'
     material = {
@@ -220,12 +219,7 @@ def test_a_running_cell_decides_what_its_grid_leaves_open(domain, tmp_path):
     )
     assert done.returncode == 0, done.stdout + done.stderr
     looks = json.loads((bags / 'autonomous.json').read_text())
-    assert [look['trials'] for look in looks] == list(range(1, len(looks) + 1))
-    for look, after in itertools.pairwise(looks):
-        (names,) = look['found']['sets']
-        assert 'yield_force' in names
-        assert look['push']['purpose'] == ('test' if len(names) == 1 else 'separate')
-        assert after['trials'] == look['trials'] + 1
+    assert len(looks) > 1, 'one push decides nothing'
     assert looks[-1]['ending'] == 'decided'
     assert looks[-1]['found']['sets'] == [['yield_force']]
     told = looks[-1]['found']['parameters']['F_y']

@@ -26,7 +26,7 @@ import pytest
 
 HAPTICVISION = str(Path(sys.executable).with_name('hapticvision'))
 DEADLINE = 240.0
-"""Eight processes start, and four trials are made, on a machine that may be busy [s]."""
+"""Eight processes start, and six trials are made, on a machine that may be busy [s]."""
 CELLS = (
     'arm_push_controller killed in push',
     'load_cell_driver killed in push',
@@ -88,7 +88,8 @@ def test_a_few_faults_on_a_live_cell(domain, tmp_path):
     for fault, _, outcome, *_, clear, kept, lost, verdict in rows:
         # What depends on the speed of this machine, such as the time to safe, is not asked for.
         assert verdict in ('safe', 'went on'), fault
-        assert outcome in ('aborted', 'no word'), fault
+        goes_on = 'garbage parameters' in fault
+        assert outcome in (('complete',) if goes_on else ('aborted', 'no word')), fault
         assert clear != '-', fault
         assert float(kept) > 0.0 and float(lost) < 1.0, fault
     assert done.returncode in (0, 1), done.stdout + done.stderr

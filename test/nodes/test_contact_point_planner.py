@@ -15,6 +15,7 @@
 """The contact-point planner as a process, on clouds that the test sends."""
 
 from dataclasses import replace
+import re
 import time
 
 from hapticvision_ros.bag.contract import (
@@ -454,7 +455,8 @@ def test_a_picture_gives_back_an_edge_that_the_cloud_lost(see, probe, until, dia
     )
     answer = probe.call(PLAN, Trigger.Request(), DEADLINE)
     assert not answer.success
-    assert 'No picture came' in answer.message or 'No cloud came' in answer.message
+    # On a loaded machine the rest may not come either.
+    assert re.search('No (picture|cloud|tool height) came', answer.message), answer.message
 
 
 def test_a_picture_of_something_else_is_told_and_not_used(see, probe, until):

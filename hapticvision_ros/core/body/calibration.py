@@ -276,16 +276,15 @@ def calibrate(
     """
     around = surroundings or Surroundings()
     body = Pressed(lattice, LinkLaw(1.0, 1.0, 1.0), tool, around)
-    kinds = [bool(alike)]
-    if alike is None:
-        if around.density > 0.0:
-            kinds = [True]
-        elif tool.sphere and _OF_A_SPHERE not in model.effects:
-            # No links follow a model whose contact does not grow.
-            kinds = [True]
-        else:
-            even = body.is_level and any(name in model.effects for name in _NOT_LINEAR)
-            kinds = [not even, even]
+    # No links follow a model whose contact does not grow under a ball.
+    hopeless = tool.sphere and _OF_A_SPHERE not in model.effects
+    if alike is not None:
+        kinds = [alike]
+    elif around.density > 0.0 or hopeless:
+        kinds = [True]
+    else:
+        even = body.is_level and any(name in model.effects for name in _NOT_LINEAR)
+        kinds = [not even, even]
     found: list[Calibration] = []
     failed: list[InputError] = []
     for kind in kinds:

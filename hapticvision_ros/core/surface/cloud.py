@@ -68,8 +68,8 @@ WIDEST_TOOL: Final = 1.0
 _ROOM: Final = 0.01
 """How far beyond its outline and above its top the object may have been pressed [m]."""
 _FINEST: Final = 1e-3
-_LEAST_NOISE: Final = 1e-6
-"""Of a perfect cloud: a scale must not be zero [m]."""
+_LEAST_NOISE: Final = 1e-4
+"""With a smaller scale than the tool's own noise the fit of its circle ends beside it [m]."""
 _UPRIGHT: Final = 0.7
 """A surface whose normal rises by less than this is a wall."""
 _WALL_CELLS: Final = 2.5
