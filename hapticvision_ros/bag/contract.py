@@ -299,7 +299,7 @@ HEARTBEAT: Final = Topic(
     stamped=False,
     qos=Qos(publish_depth=1, subscribe_depth=1),
     meaning='Who watches over the pushes is alive: seconds since it began. A push goes on only '
-    'while it is heard.',
+    'while it is heard, and ends where it is another than before.',
 )
 EMERGENCY_STOP: Final = _cell_topic(
     '/emergency_stop',

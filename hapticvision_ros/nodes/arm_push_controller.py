@@ -355,6 +355,7 @@ class ArmPushController(ManagedCellNode):
         self._force: Reading | None = None
         self._tool: Reading | None = None
         self._heartbeat: float | None = None
+        self._watched = 0.0
         self._surface_height: float | None = None
         self._control: PushControl | None = None
         self._stop_reason: str | None = None
@@ -578,6 +579,14 @@ class ArmPushController(ManagedCellNode):
 
     def _on_heartbeat(self, message: Any) -> None:
         self._heartbeat = time.monotonic()
+        another = message.data < self._watched
+        self._watched = message.data
+        if another and self._control is not None and self._limits.heartbeat_time > 0.0:
+            # One that was started at once is heard in time, but does not know of this push.
+            self._stop_reason = (
+                'The experiment orchestrator, which watches over the push, is another than before.'
+            )
+            self._urgent.set()
 
     def _on_emergency_stop(self, message: Any) -> None:
         if message.data and not self._emergency:

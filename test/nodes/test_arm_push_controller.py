@@ -38,7 +38,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.core.devices import ArmState
-from hapticvision_ros.core.push_control import SHUT_DOWN
+from hapticvision_ros.core.push_control import Reading, SHUT_DOWN
 from hapticvision_ros.nodes.arm_push_controller import ArmPushController
 from hapticvision_ros.nodes.conversions import (
     contact_force,
@@ -272,6 +272,34 @@ def test_a_force_beyond_its_limit_acts_when_it_comes_and_not_with_the_next_cycle
         reason = 'exceeds the limit of 150 N' if math.isfinite(force) else 'not a number'
         assert reason in node._last_report.reason
         assert max(arm.told) <= 0.0
+    finally:
+        node.close()
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(('heartbeat_time', 'aborts'), [(1.0, True), (0.0, False)])
+def test_an_orchestrator_that_was_started_anew_does_not_watch_over_the_push_of_the_one_before(
+    ros, probe, until, monkeypatch, heartbeat_time, aborts
+):
+    arm = StandingArm()
+    monkeypatch.setattr(ArmPushController, '_connect', lambda self: arm)
+    node = ArmPushController()
+    try:
+        node._limits = replace(node._limits, stale_time=60.0, heartbeat_time=heartbeat_time)
+        node._force = Reading(time.monotonic(), 0.1)
+        until(lambda: node._tool is not None, 'the height')
+        # Also the one that starts the push may have been started anew, before it.
+        for uptime in (500.0, 7.0, 7.1):
+            node._on_heartbeat(Float64(data=uptime))
+        node._enabled = True
+        node._start(time.monotonic())
+        node._on_heartbeat(Float64(data=7.2))
+        assert node._stop_reason is None
+        node._on_heartbeat(Float64(data=0.0))
+        assert (node._stop_reason is not None) == aborts
+        if aborts:
+            until(lambda: node._last_report is not None, 'the end of the push', 10.0)
+            assert 'is another than before' in node._last_report.reason
     finally:
         node.close()
         node.destroy_node()
