@@ -91,13 +91,15 @@ def parameters(depth: float) -> dict[str, float]:
     return IDENTIFIED | {'beta': 0.3 / depth**2}
 
 
-def law(body: Lattice, model: Model, depth: float, around: Surroundings) -> LinkLaw:
+def law(
+    body: Lattice, model: Model, depth: float, around: Surroundings, *, alike: bool = True
+) -> LinkLaw:
     """Return the links by the scaling law."""
     given = {name: parameters(depth)[name] for name in model.names}
-    found = link_law(given, gauge(body, TOOL, around), reference_depth=depth)
-    if around.small:
+    found = link_law(given, gauge(body, TOOL, around), reference_depth=depth, alike=alike)
+    if around.small and alike:
         return found
-    return replace(found, geometry=geometry(body, TOOL, depth, around))
+    return replace(found, geometry=geometry(body, TOOL, depth, around, alike=alike))
 
 
 def errors(run: BodyRun, exact: BodyRun) -> tuple[float, float, float, float]:
@@ -121,7 +123,7 @@ def _timed(*arguments: object, **options: object) -> tuple[BodyRun, float, float
     return run, time.perf_counter() - wall, time.process_time() - cpu
 
 
-def accuracy(pitch: float, depth: float, small: bool, skip: int) -> None:
+def accuracy(pitch: float, depth: float, small: bool, skip: int, *, alike: bool) -> None:
     """Print time and error of one run for each effect."""
     body = box(SIZE, pitch)
     around = Surroundings(small=small)
@@ -131,7 +133,7 @@ def accuracy(pitch: float, depth: float, small: bool, skip: int) -> None:
     )
     for effects in EFFECTS[skip:]:
         model = Model(effects)
-        links = law(body, model, depth, around)
+        links = law(body, model, depth, around, alike=alike)
         simulate(body, links, TOOL, motion(depth), around)
         run, wall, cpu = _timed(body, links, TOOL, motion(depth), around)
         exact, _, long = _timed(body, links, TOOL, motion(depth), around, accuracy=FINE)
@@ -147,7 +149,7 @@ def accuracy(pitch: float, depth: float, small: bool, skip: int) -> None:
         )
 
 
-def growth(pitches: list[float], depth: float) -> None:
+def growth(pitches: list[float], depth: float, *, alike: bool) -> None:
     """Print time and memory for finer and finer cells."""
     model = Model(('yield_force',))
     print('nodes | CPU s | wall s | ms a node | steps | Newton | cycles | MB | exponent')
@@ -155,7 +157,7 @@ def growth(pitches: list[float], depth: float) -> None:
     for pitch in pitches:
         body = box(SIZE, pitch)
         around = Surroundings()
-        links = law(body, model, depth, around)
+        links = law(body, model, depth, around, alike=alike)
         run, wall, cpu = _timed(body, links, TOOL, motion(depth), around)
         nodes = len(body.points)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
@@ -377,7 +379,7 @@ def main() -> int:
     parser.add_argument(
         '--links',
         choices=('alike', 'even'),
-        help='default: the first within 1 %%, else the better',
+        help='default: the first within 1 %%, else the better; of accuracy and growth alike',
     )
     arguments = parser.parse_args()
     alike = None if arguments.links is None else arguments.links == 'alike'
@@ -385,9 +387,9 @@ def main() -> int:
     depth = depths[0]
     pitches = [1e-3 * p for p in arguments.pitch_mm]
     if arguments.what == 'accuracy':
-        accuracy(pitches[0], depth, arguments.small, arguments.skip)
+        accuracy(pitches[0], depth, arguments.small, arguments.skip, alike=alike is not False)
     elif arguments.what == 'growth':
-        growth(pitches, depth)
+        growth(pitches, depth, alike=alike is not False)
     elif arguments.what == 'geometry':
         ratio, calibrated = arguments.volume_ratio, not arguments.bare
         deep(pitches[0], depths, arguments.rounds, ratio, calibrated=calibrated, alike=alike)
