@@ -133,6 +133,51 @@ def test_the_height_is_read_from_what_the_arm_tells(kind, parameters_of, probe, 
         arm.read(0.2)
 
 
+def test_a_pose_that_is_not_on_the_axis_of_the_push_tells_no_height(parameters_of, probe, until):
+    place = {'frame': 'base', 'x': 0.3}
+
+    def pose(height):
+        message = _pose(height)
+        message.header.frame_id = place['frame']
+        message.pose.position.x = place['x']
+        return message
+
+    robot = Robot(probe.node, TwistStamped, PoseStamped, pose)
+    node, parameters = parameters_of(
+        backend='twist', tool_height_type='pose', tool_height_scale=1.0, largest_drift=0.01
+    )
+    arm = connect(node, parameters)
+
+    def height():
+        try:
+            return arm.read(0.1)[-1].tool_height
+        except DeviceError as error:
+            assert 'has told no tool height' in str(error)
+            return None
+
+    assert until(height, 'a height') == pytest.approx(robot.height)
+    place['frame'] = 'tool0'
+    until(lambda: height() is None, 'the refusal of another frame')
+    # At rest somebody may jog it.
+    place |= {'frame': 'base', 'x': 0.5}
+    until(height, 'a height elsewhere')
+
+    def moving():
+        arm.command(0.001)
+        return height()
+
+    until(moving, 'a height on the way')
+    place['x'] = 0.509
+    for _ in range(20):
+        until(moving, 'a height within what is allowed')
+    place['x'] = 0.511
+    until(lambda: moving() is None, 'the refusal of a tool that goes aside')
+    # Once it rests, it stands where it stands.
+    until(height, 'a height at rest')
+    until(moving, 'a height of the next motion')
+    arm.close()
+
+
 def test_moveit_servo_gets_a_stamped_twist_along_the_push_axis(parameters_of, probe, until):
     robot = Robot(probe.node, TwistStamped, *HEIGHTS['pose'])
     node, parameters = parameters_of(
