@@ -48,7 +48,9 @@ _LOOKS: Final = (0.0, 0.125, 0.375, 0.625, 0.875, 1.0)
 """Shares of the depth between which it is told how fast links are stretched."""
 WELL: Final = 0.01
 """Share of force or depth up to which a body follows its model well."""
-_NOT_LINEAR: Final = ('yield_force', 'shear_thinning', 'strain_stiffening', 'damage')
+_NOT_LINEAR: Final = frozenset({'yield_force', 'shear_thinning', 'strain_stiffening', 'damage'})
+_IN_SERIES: Final = 'series_spring'
+"""Beside it shares that change their sign, with large displacements, ask for more steps."""
 _DOWN: Final = 0.99
 """Share of the depth at which a push is over."""
 _SLIGHT: Final = 0.02
@@ -242,7 +244,8 @@ def calibrate(
     Links that are alike everywhere, as of one material, come to a threshold or a power one after
     the other, and the body is not the chain that was identified. Links that are counted in what
     the push stretches them by (`links.Shares`) come to it at once. These are tried first where the
-    model has such a law and the tool touches all at once, else those that are alike; the other
+    model has such a law and the tool touches all at once, but not beside a series spring with
+    large displacements, which would ask for many more steps, else those that are alike; the other
     ones where the first do not follow the model within 1 %, but not under a ball whose model has
     no contact that grows. A body with weight has links that are alike: in the others a threshold
     would be as small as what the push does to a link, and what hardly feels the push would flow
@@ -283,7 +286,9 @@ def calibrate(
     elif around.density > 0.0 or hopeless:
         kinds = [True]
     else:
-        even = body.is_level and any(name in model.effects for name in _NOT_LINEAR)
+        effects = set(model.effects)
+        even = body.is_level and bool(effects & _NOT_LINEAR)
+        even = even and (around.small or _IN_SERIES not in effects)
         kinds = [not even, even]
     found: list[Calibration] = []
     failed: list[InputError] = []

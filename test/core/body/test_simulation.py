@@ -597,13 +597,20 @@ def test_links_that_come_to_a_threshold_at_once_make_the_chain_of_one_dimension(
 
 
 @pytest.mark.parametrize(
-    ('effects', 'alike'), [((), True), (('series_spring',), True), (('yield_force',), False)]
+    ('effects', 'small', 'alike'),
+    [
+        ((), False, True),
+        (('series_spring',), False, True),
+        (('yield_force',), False, False),
+        (('yield_force', 'series_spring'), False, True),
+        (('yield_force', 'series_spring'), True, False),
+    ],
 )
 def test_links_differ_where_the_model_has_a_law_that_asks_for_it(
-    effects: tuple[str, ...], alike: bool
+    effects: tuple[str, ...], small: bool, alike: bool
 ) -> None:
-    given = IDENTIFIED | {'K_0': 3e4}
-    found = calibrate(BLOCK, Model(effects), given, DISC, TRIAL, rounds=6, accuracy=QUICK)
+    given, around = IDENTIFIED | {'K_0': 3e4}, Surroundings(small=small)
+    found = calibrate(BLOCK, Model(effects), given, DISC, TRIAL, around, rounds=6, accuracy=QUICK)
     assert found.alike is alike
     assert found.off < 0.01
 
