@@ -53,6 +53,8 @@ NAME: Final = 'experiment_client'
 SERVER: Final = 'experiment_orchestrator'
 ANSWER_DEADLINE: Final = 30.0
 """How long the orchestrator may take to come up and to answer [s]."""
+ASK_AGAIN: Final = 5.0
+"""What may be asked twice is asked again after this long without an answer [s]."""
 SILENCE: Final = 15.0
 """An orchestrator that gives no feedback for so long is gone [s]."""
 CANCEL_ANSWER_DEADLINE: Final = 6.0
@@ -74,9 +76,21 @@ class ExperimentError(HapticVisionError):
 
 
 class ExperimentClient:
-    """One goal, from the sending to the result."""
+    """
+    One goal, from the sending to the result.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    patience : float
+        How long the orchestrator may take to come up and to answer [s].
+    again : float
+        What may be asked twice is asked again after this long without an answer [s].
+
+    """
+
+    def __init__(self, patience: float = ANSWER_DEADLINE, again: float = ASK_AGAIN) -> None:
+        self._patience = patience
+        self._again = again
         self._node = rclpy.create_node(NAME)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -133,14 +147,20 @@ class ExperimentClient:
             If it refuses the goal.
 
         """
+        # A server may find a client later than the client the server, and what it answers until
+        # then is lost: the start, which must not be asked twice, comes when enable got through.
+        start = create_client(self._node, START_EXPERIMENT)
         # Who calls this command wants the arm to move, once.
-        for service, request in (
-            (ENABLE_EXPERIMENT, SetBool.Request(data=True)),
-            (START_EXPERIMENT, Trigger.Request()),
-        ):
-            answer = self._call_service(service, request)
-            if not answer.success:
-                raise UsageError(answer.message)
+        answer = self._call_service(ENABLE_EXPERIMENT, SetBool.Request(data=True))
+        if answer.success:
+            try:
+                answer = self._call(start, Trigger.Request(), START_EXPERIMENT.name, once=True)
+            except ExperimentError:
+                # It may have begun all the same, with nobody who waits for it.
+                self._cancel()
+                raise
+        if not answer.success:
+            raise UsageError(answer.message)
         self._goal_id = answer.message
         self._heard = time.monotonic()
         deadline: float | None = None
@@ -150,7 +170,7 @@ class ExperimentClient:
             if self._interrupted and deadline is None:
                 deadline = now + CANCEL_DEADLINE
                 print('cancelling: the tool retracts', flush=True)
-                self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request(), CANCEL_ANSWER_DEADLINE)
+                self._cancel()
             if now - self._heard > SILENCE or (deadline is not None and now > deadline):
                 raise ExperimentError(
                     f'{SERVER} has been silent for too long: see whether it runs.'
@@ -161,22 +181,34 @@ class ExperimentClient:
         self._tell_result()
         return EXIT_CODES[self._status]
 
-    def _call_service(
-        self, service: Service, request: Any, deadline: float = ANSWER_DEADLINE
-    ) -> Any:
+    def _cancel(self) -> None:
+        self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request(), CANCEL_ANSWER_DEADLINE)
+
+    def _call_service(self, service: Service, request: Any, deadline: float | None = None) -> Any:
         return self._call(create_client(self._node, service), request, service.name, deadline)
 
     def _call(
-        self, client: Any, request: Any, what: str, deadline: float = ANSWER_DEADLINE
+        self,
+        client: Any,
+        request: Any,
+        what: str,
+        deadline: float | None = None,
+        *,
+        once: bool = False,
     ) -> Any:
         """Return the answer of a service."""
+        deadline = self._patience if deadline is None else deadline
+        again = deadline if once else self._again
         try:
             if not self._spin_until(client.service_is_ready, deadline):
                 raise ExperimentError(f'{what}: not there within {deadline:g} s.')
-            future = client.call_async(request)
-            if not self._spin_until(future.done, deadline):
-                raise ExperimentError(f'{what}: no answer within {deadline:g} s.')
-            return future.result()
+            end = time.monotonic() + deadline
+            while (left := end - time.monotonic()) > 0.0:
+                future = client.call_async(request)
+                if self._spin_until(future.done, min(again, left)):
+                    return future.result()
+                client.remove_pending_request(future)
+            raise ExperimentError(f'{what}: no answer within {deadline:g} s.')
         finally:
             self._node.destroy_client(client)
 
