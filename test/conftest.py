@@ -42,6 +42,15 @@ LIVE = (
     'sim/test_server',
 )
 """Tests of processes that work in real time, one after the other."""
+PATIENT = (
+    'nodes/test_contact_point_planner',
+    'nodes/test_phase_segmenter',
+    'nodes/test_range_',
+    'nodes/test_rheology_fitter',
+    'replay',
+    'cli/test_replay',
+)
+"""Those of them that move no arm and measure no time: they may run beside the others."""
 TOGETHER = ('report', 'core/diagnosis')
 """Folders whose tests share what takes long to make."""
 LONG = ('test_lint', 'test_doc_examples', 'core/diagnosis', 'report', 'test_package', 'cli')
@@ -55,15 +64,19 @@ def _place(item: pytest.Item) -> str:
 
 
 def _is_live(item: pytest.Item) -> bool:
-    return _place(item).startswith(LIVE)
+    return _place(item).startswith(LIVE) and not _is_patient(item)
+
+
+def _is_patient(item: pytest.Item) -> bool:
+    return _place(item).startswith(PATIENT)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """
-    Let what shares fixtures be run by one worker, and all live tests by one.
+    Let what shares fixtures be run by one worker, and all live tests by one, or by two.
 
-    That one begins with them, the others with what takes long.
+    That one begins with them, the others with what takes long, and the patient ones next.
     """
     if not config.pluginmanager.hasplugin('xdist'):
         return
@@ -71,9 +84,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         place = _place(item)
         together = [folder for folder in TOGETHER if place.startswith(folder)]
         group = 'live' if _is_live(item) else together[0] if together else place
+        if _is_patient(item):
+            group = 'patient'
         item.add_marker(pytest.mark.xdist_group(group))
     if 'PYTEST_XDIST_WORKER' in os.environ:
-        items.sort(key=lambda item: (not _is_live(item), not _place(item).startswith(LONG)))
+        items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> int:
+    if _is_live(item):
+        return 0
+    if _is_patient(item):
+        return 2
+    return 1 if _place(item).startswith(LONG) else 3
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -31,6 +31,8 @@ type DepthArray = NDArray[np.uint16] | NDArray[np.float32]
 _COEFFICIENTS: Final = (4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV knows."""
 
+_ZERO: Final = 1e-6
+"""A point so near to the origin of its cloud [m] is how some drivers tell that there is none."""
 _FORMATS: Final = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 
 
@@ -226,13 +228,18 @@ class CloudMover:
     pose : Pose
         The sensor's frame in `support_plane`.
     nearest, farthest : float
-        Points at a distance from the sensor outside this range are no return [m].
+        Points at a distance from the sensor outside this range are no return [m]. A cloud that is
+        in `support_plane` already (the pose is that of the plane itself) does not tell where its
+        sensor is, and the object lies about its origin: then no point is too near.
 
     """
 
     def __init__(self, pose: Pose, nearest: float, farthest: float) -> None:
         self._affine = np.column_stack([pose.rotation, pose.translation]).astype(np.float32)
-        self._nearest2, self._farthest2 = nearest**2, farthest**2
+        if np.array_equal(self._affine, np.eye(3, 4)):
+            nearest = 0.0
+        # Some drivers write zeros where nothing came back.
+        self._nearest2, self._farthest2 = max(nearest, _ZERO) ** 2, farthest**2
 
     def points(self, xyz: PointArray) -> PointArray:
         """

@@ -473,6 +473,7 @@ def write_bags(
 
     """
     paths = []
+    late = parameter(parameter_vector(run.truth.body, run.truth.effects), 'clock_offset', 'dt')
     for index, trial in enumerate(run.trials):
         random = np.random.default_rng((seed, index))
         height = trial.displacement_height
@@ -492,7 +493,7 @@ def write_bags(
             displacement=height if clouds is None else None,
             push_velocity=trial.push_velocity,
             phases=trial.phases,
-            clouds=() if clouds is None else _frames(trial, *clouds, seed=seed + index),
+            clouds=() if clouds is None else _frames(trial, *clouds, late=late, seed=seed + index),
             extra=extra,
             provenance=trial.provenance,
             compression=compression,
@@ -502,16 +503,20 @@ def write_bags(
 
 
 def _frames(
-    trial: Trial, config: WorldConfig, plan: CloudPlan, *, seed: int
+    trial: Trial, config: WorldConfig, plan: CloudPlan, *, late: float, seed: int
 ) -> Iterator[CloudFrame]:
-    """Yield what the range sensor sees whenever the displacement height was sampled."""
+    """
+    Yield what the range sensor sees whenever the displacement height was sampled.
+
+    By a clock that is `late` [s] the tool is seen where it was, as the surface is.
+    """
     scene = Scene(config.block, config.arm.tool_radius, config.range_sensor)
     renderer = RangeRenderer(
         scene, width=plan.width, height=plan.height, depth_noise=plan.depth_noise, seed=seed
     )
     height = trial.displacement_height
     if height is not None:
-        tool = trial.tool_height.at(height.t)
+        tool = trial.tool_height.at(height.t - late)
         for t, tip, dent in zip(height.t.tolist(), tool, height.value, strict=True):
             yield CloudFrame(t, renderer.render(float(tip), float(dent)), POINTS.frame_id)
 

@@ -137,3 +137,14 @@ def test_a_cloud_is_moved_and_what_is_no_return_becomes_nan():
     assert np.isnan(moved[0, :5]).all()
     true = xyz.astype(np.float64) @ pose.rotation.T + pose.translation
     assert moved[1:] == pytest.approx(true[1:], abs=1e-6)
+
+
+def test_a_cloud_that_is_in_the_planes_frame_keeps_what_is_about_its_origin():
+    xyz = np.random.default_rng(0).uniform(-0.04, 0.04, (20, 30, 3)).astype(np.float32)
+    xyz[0, 0] = 0.0
+    xyz[0, 1] = [0.0, 3.0, 0.0]
+    xyz[0, 2] = np.inf
+    kept = CloudMover(Pose.of([0.0] * 6), 0.05, 2.0).points(xyz)
+    assert np.isnan(kept[0, :3]).all()
+    np.testing.assert_array_equal(kept[0, 3:], xyz[0, 3:])
+    np.testing.assert_array_equal(kept[1:], xyz[1:])

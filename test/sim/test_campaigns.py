@@ -131,6 +131,28 @@ def test_a_bag_with_clouds_gives_the_displacement_height_back(tmp_path: Path) ->
     np.testing.assert_allclose(seen.value[late], true.at(seen.t[late]), atol=3e-4)
 
 
+def test_clouds_by_a_late_clock_show_the_tool_late(tmp_path: Path) -> None:
+    config = load_config()
+    one = replace(
+        CAMPAIGN,
+        pushes=(Push(0.006, 0.006, 1.0, 2.0),),
+        sensors=replace(CAMPAIGN.sensors, height_rate=20.0, height_noise=0.0),
+        surface_height=config.block.height,
+    )
+    rises = []
+    for late in (0.0, 0.5):
+        done = run(one, [Undeclared('clock_offset', (late,))], seed=3)
+        (path,) = write_bags(done, tmp_path / str(late), clouds=(config, CloudPlan(80, 60, 0.0)))
+        clouds = read_trial(path).clouds
+        assert clouds is not None
+        # The lower the tool, the more points are on its shaft.
+        above = config.block.height + 0.002
+        times = np.array([frame.t for frame in clouds])
+        shaft = np.array([np.sum(frame.xyz[..., 2] > above) for frame in clouds])
+        rises.append(float(times[shaft > 0.5 * (shaft.min() + shaft.max())].max()))
+    assert rises[1] - rises[0] == pytest.approx(0.5, abs=0.06)
+
+
 def test_touch_and_loss_fall_between_samples_and_are_found_by_the_segmentation() -> None:
     done = run(replace(CAMPAIGN, surface_scatter=5e-5), seed=4)
     for trial, touch in zip(done.trials, done.truth.touches, strict=True):
