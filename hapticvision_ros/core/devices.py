@@ -93,10 +93,23 @@ class StreamCounts:
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """The arm's own reading: `stamp_ns` [ns since the epoch], `tool_height` [m]."""
+    """
+    The arm's own reading.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When it was measured [ns since the epoch].
+    tool_height : float
+        Height of the tool tip above the support plane [m].
+    place : tuple of float or None
+        x and y of the tool in the arm's own frame [m]; None if it tells heights only.
+
+    """
 
     stamp_ns: int
     tool_height: float
+    place: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,10 @@ type Action = Literal[
 PHASES: Final = ('approach', 'push', 'hold', 'release', 'recover')
 """Phases of a push in which something may go wrong."""
 NEAR: Final = 'near the limit'
-"""In the push too: an object so hard that a push which nobody stops is far over the force limit,
-and a force that is nearly there."""
+"""
+In the push too: an object so hard that a push which nobody stops is a quarter over the force
+limit, and a force that is nearly there.
+"""
 
 ARM: Final = 'arm_push_controller'
 LOAD_CELL: Final = 'load_cell_driver'

@@ -21,7 +21,7 @@ height is known. From then on no input brings it down again.
 """
 
 from dataclasses import dataclass, fields
-from math import inf, isfinite
+from math import dist, inf, isfinite
 from typing import Final, Literal, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
@@ -79,6 +79,7 @@ SURE: Final = 0.2
 LEAST_HOLD: Final = 0.5
 """Shortest hold that a relaxation time may ask for [s]."""
 
+type Place = tuple[float, float]
 type HoldMode = Literal['fixed', 'auto']
 HOLD_MODES: Final[tuple[HoldMode, ...]] = ('fixed', 'auto')
 
@@ -233,6 +234,8 @@ class PushLimits:
     stop_lead : float
         Time that the tool goes on after a stop command, in effect: the latency of the loop and
         half the braking time [s].
+    largest_drift : float
+        How far the tool may come to stand beside where its motion began [m].
 
     """
 
@@ -247,6 +250,7 @@ class PushLimits:
     heartbeat_time: float
     touch_margin: float
     stop_lead: float
+    largest_drift: float = inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -505,6 +509,8 @@ class PushControl:
         self._at_rest = False
         self._highest = -inf
         self._progress = t
+        self._start_place: Place | None = None
+        self._drift = self._abort_drift = 0.0
         self._hold: HoldEstimator | None = None
         self._hold_time = 0.0
         self._lowest = inf
@@ -538,6 +544,7 @@ class PushControl:
         if self.phase in ('done', 'aborted'):
             return
         self.reason = reason
+        self._abort_drift = self._drift
         self._enter('aborted', t)
 
     def step(
@@ -546,6 +553,7 @@ class PushControl:
         tool: Reading | None,
         force: Reading | None,
         heartbeat: float | None = None,
+        place: Place | None = None,
     ) -> Command:
         """
         Advance to time `t` and return what to command.
@@ -560,6 +568,9 @@ class PushControl:
             Latest contact force [N], positive in compression, with the load cell's zero.
         heartbeat : float or None
             When who watches over the push was last heard [s].
+        place : tuple of float or None
+            Where the tool was last told to be, x and y across the vertical [m]; None if the arm
+            tells heights only.
 
         Returns
         -------
@@ -572,6 +583,9 @@ class PushControl:
         self._note(t, height, contact_force, force)
         if height is not None and tool is not None:
             self._follow(t, tool)
+        if place is not None:
+            self._start_place = self._start_place or place
+            self._drift = dist(place, self._start_place)
         if self.phase not in ('done', 'aborted'):
             self._check(t, height, contact_force, heartbeat)
         self._last_step = t
@@ -680,6 +694,8 @@ class PushControl:
                 'the arm does not follow, or its reading is dead.',
                 t,
             )
+        elif self._drift > limits.largest_drift:
+            self.abort(f'{self._aside()} See to push_axis and command_frame.', t)
         elif not (
             limits.lowest_height - WORKSPACE_MARGIN
             <= height
@@ -808,12 +824,25 @@ class PushControl:
             # What sticks to the tool must not be torn off.
             self._wait(t)
             return 0.0
+        if self._drift > self._abort_drift + self._limits.largest_drift:
+            # The way of the push takes it back, another takes it anywhere.
+            self.reason = (
+                f'{self.reason or "The tool was to be raised."} {self._aside()} It stays.'
+            )
+            self._at_rest = True
+            return 0.0
         if height > self._highest:
             # A slow retraction gets on as well.
             self._highest = height + min(PROGRESS, 0.5 * self._goal.release_speed)
             self._progress = t
         self._wait(t)
         return 0.0 if self._at_rest else -self._goal.release_speed
+
+    def _aside(self) -> str:
+        return (
+            f'The tool is {self._drift * 1e3:.3g} mm beside where its motion began; '
+            f'{self._limits.largest_drift * 1e3:.3g} mm are allowed.'
+        )
 
     def _wait(self, t: float) -> None:
         """End an aborted push that has not got on for too long."""

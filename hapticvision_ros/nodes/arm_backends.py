@@ -22,7 +22,7 @@ limits, its watchdog and its emergency stop stay in force.
 """
 
 from collections.abc import Sequence
-from math import hypot, inf, isfinite
+from math import isfinite
 import threading
 import time
 from typing import Any, Final
@@ -117,8 +117,8 @@ ARM_PARAMETERS: Final = (
         'largest_drift',
         'double',
         'm',
-        'A tool that is farther aside than this from where its motion began has no height; told '
-        'by poses only.',
+        'A tool that comes to stand farther than this beside where its motion began aborts the '
+        'push; only poses tell.',
         1e-5,
         1.0,
         read_only=True,
@@ -159,8 +159,6 @@ LAST_WORDS: Final = 1.0
 
 _HEIGHT_TYPES: Final = {'float64': Float64, 'pose': PoseStamped, 'joint_state': JointState}
 _POLL: Final = 0.05
-_AT_REST: Final = 0.5
-"""A motion that was not commanded for so long is over: the arm may be jogged aside [s]."""
 _LISTENER_CHECK: Final = 0.1
 _DEPTH: Final = 500
 
@@ -198,10 +196,7 @@ class TopicArm:
         self._offset = parameters.real('tool_height_offset')
         self._frame = parameters.text('command_frame')
         self._pose_frame = parameters.text('tool_height_frame')
-        self._largest_drift = parameters.real('largest_drift')
-        self._begun: tuple[float, float] | None = None
-        self._commanded = -inf
-        self._complained = ''
+        self._trouble = ''
         self._height_topic = _topic(parameters, 'tool_height_topic')
         self._command_topic = _topic(parameters, 'command_topic')
         if parameters.text('tool_height_type') == 'joint_state' and not self._joint:
@@ -235,16 +230,14 @@ class TopicArm:
                         return states
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f'the arm has told no tool height on {self._height_topic} for {timeout:g} s: '
-                    'see to its drivers'
+                    self._trouble
+                    or f'the arm has told no tool height on {self._height_topic} for {timeout:g} '
+                    's: see to its drivers'
                 )
 
     def command(self, push_velocity: float) -> None:
         """Command a speed along the push [m/s], positive toward the object."""
         now = time.monotonic()
-        if now - self._commanded > _AT_REST:
-            self._begun = None
-        self._commanded = now
         if push_velocity and now >= self._next_check:
             self._next_check = now + _LISTENER_CHECK
             if not self._publisher.get_subscription_count():
@@ -282,7 +275,10 @@ class TopicArm:
         for message, sent_ns, _ in self._heights.take():
             raw, stamp_ns = self._height(message, sent_ns)
             if raw is not None and isfinite(raw):
-                states.append(ArmState(stamp_ns, self._scale * raw + self._offset))
+                place = None
+                if isinstance(message, PoseStamped):
+                    place = message.pose.position.x, message.pose.position.y
+                states.append(ArmState(stamp_ns, self._scale * raw + self._offset, place))
         return states
 
     def _height(self, message: Any, sent_ns: int) -> tuple[float | None, int]:
@@ -291,44 +287,33 @@ class TopicArm:
             return float(message.data), sent_ns
         stamp_ns = ns_from_stamp(message.header.stamp) or sent_ns
         if isinstance(message, PoseStamped):
-            trouble = self._not_on_the_axis(message)
-            if trouble != self._complained:
-                self._complained = trouble
-                if trouble:
-                    self._node.get_logger().warning(trouble)
+            trouble = self._in_another_frame(message.header.frame_id)
+            if trouble and trouble != self._trouble:
+                self._node.get_logger().warning(trouble)
+            self._trouble = trouble
             return None if trouble else float(message.pose.position.z), stamp_ns
         positions = dict(zip(message.name, message.position, strict=False))
         return positions.get(self._joint), stamp_ns
 
-    def _not_on_the_axis(self, message: PoseStamped) -> str:
+    def _in_another_frame(self, frame: str) -> str:
         """Return why the z of a pose is not the height of the tool over the object, or ''."""
-        frame = message.header.frame_id
         self._pose_frame = self._pose_frame or frame
-        if frame != self._pose_frame:
-            return (
-                f"The pose on {self._height_topic} is in the frame '{frame}', not in "
-                f"'{self._pose_frame}': it tells no height. Set tool_height_frame."
-            )
-        x, y = message.pose.position.x, message.pose.position.y
-        if time.monotonic() - self._commanded > _AT_REST:
-            return ''
-        if self._begun is None:
-            self._begun = x, y
-        drift = hypot(x - self._begun[0], y - self._begun[1])
-        if drift <= self._largest_drift:
+        if frame == self._pose_frame:
             return ''
         return (
-            f'The tool is {drift * 1e3:.1f} mm beside where its motion began, '
-            f'{self._largest_drift * 1e3:.1f} mm are allowed: its height there is none. See to '
-            'push_axis and command_frame.'
+            f"the pose on {self._height_topic} is in the frame '{frame}', not in "
+            f"'{self._pose_frame}': it tells no height; set tool_height_frame"
         )
 
     def _wait_for_arm(self) -> None:
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
-            if self._publisher.get_subscription_count() and self._heights.wait(_POLL):
+            listened = self._publisher.get_subscription_count()
+            if listened and self._heights.wait(_POLL) and self._take():
                 return
             time.sleep(0.01)
+        if self._trouble:
+            raise DeviceError(self._trouble)
         taken = bool(self._publisher.get_subscription_count())
         raise DeviceError(
             f'the arm tells no tool height on {self._height_topic}: start its drivers, or set '

@@ -328,6 +328,7 @@ _LIMIT_PARAMETERS: Final = (
     'heartbeat_time',
     'touch_margin',
     'stop_lead',
+    'largest_drift',
 )
 _FARTHEST: Final = 3.0
 """No arm tells a height of more: the limits of the workspace are within 2 m [m]."""
@@ -354,6 +355,7 @@ class ArmPushController(ManagedCellNode):
         self._force_time, self._tool_time = MeasuredTime(), MeasuredTime()
         self._force: Reading | None = None
         self._tool: Reading | None = None
+        self._place: tuple[float, float] | None = None
         self._heartbeat: float | None = None
         self._watched = 0.0
         self._surface_height: float | None = None
@@ -584,7 +586,8 @@ class ArmPushController(ManagedCellNode):
         if another and self._control is not None and self._limits.heartbeat_time > 0.0:
             # One that was started at once is heard in time, but does not know of this push.
             self._stop_reason = (
-                'The experiment orchestrator, which watches over the push, is another than before.'
+                'The experiment orchestrator, which watches over the push, is another than '
+                'before, or there are two of them.'
             )
             self._urgent.set()
 
@@ -736,6 +739,8 @@ class ArmPushController(ManagedCellNode):
             # Garbage that is taken for a height would end a retraction as if the tool were up.
             height = state.tool_height if abs(state.tool_height) <= _FARTHEST else nan
             self._tool = Reading(measured, height)
+            if state.place is not None and all(abs(item) <= _FARTHEST for item in state.place):
+                self._place = state.place
             if now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval
@@ -774,7 +779,7 @@ class ArmPushController(ManagedCellNode):
             reason = self._stop_reason
             if reason is not None:
                 control.abort(reason, now)
-            command = control.step(now, self._tool, self._force, self._heartbeat)
+            command = control.step(now, self._tool, self._force, self._heartbeat, self._place)
             arm.command(command.push_velocity)
             if control.finished:
                 # Before the last phase is told: who hears it may start the next push at once.

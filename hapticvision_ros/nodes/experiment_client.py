@@ -95,6 +95,7 @@ class ExperimentClient:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._goal_id = ''
+        self._asked = False
         self._result: Any = None
         self._status = 0
         self._heard = time.monotonic()
@@ -150,15 +151,16 @@ class ExperimentClient:
         # A server may find a client later than the client the server, and what it answers until
         # then is lost: the start, which must not be asked twice, comes when enable got through.
         start = create_client(self._node, START_EXPERIMENT)
+        self._asked = False
         # Who calls this command wants the arm to move, once.
-        answer = self._call_service(ENABLE_EXPERIMENT, SetBool.Request(data=True))
-        if answer.success:
-            try:
+        try:
+            answer = self._call_service(ENABLE_EXPERIMENT, SetBool.Request(data=True))
+            if answer.success:
                 answer = self._call(start, Trigger.Request(), START_EXPERIMENT.name, once=True)
-            except ExperimentError:
-                # It may have begun all the same, with nobody who waits for it.
-                self._cancel()
-                raise
+        except ExperimentError as error:
+            if self._asked:
+                self._give_up(error)
+            raise
         if not answer.success:
             raise UsageError(answer.message)
         self._goal_id = answer.message
@@ -180,6 +182,19 @@ class ExperimentClient:
             self._spin_until(lambda: self._fitted >= complete or self._interrupted)
         self._tell_result()
         return EXIT_CODES[self._status]
+
+    def _give_up(self, error: ExperimentError) -> None:
+        """Take back what was allowed, and what may have begun with nobody who waits for it."""
+        try:
+            self._call_service(
+                ENABLE_EXPERIMENT, SetBool.Request(data=False), CANCEL_ANSWER_DEADLINE
+            )
+        except ExperimentError:
+            said = str(error).rstrip('.')
+            raise ExperimentError(
+                f'{said}, nor could the experiment be cancelled: it may have begun or begin yet. '
+                'See to the cell, the emergency stop at hand.'
+            ) from error
 
     def _cancel(self) -> None:
         self._call_service(CANCEL_EXPERIMENT, CancelGoal.Request(), CANCEL_ANSWER_DEADLINE)
@@ -203,11 +218,14 @@ class ExperimentClient:
             if not self._spin_until(client.service_is_ready, deadline):
                 raise ExperimentError(f'{what}: not there within {deadline:g} s.')
             end = time.monotonic() + deadline
+            futures = list[Any]()
             while (left := end - time.monotonic()) > 0.0:
-                future = client.call_async(request)
-                if self._spin_until(future.done, min(again, left)):
-                    return future.result()
-                client.remove_pending_request(future)
+                self._asked = True
+                futures.append(client.call_async(request))
+                if self._spin_until(
+                    lambda: any(each.done() for each in futures), min(again, left)
+                ):
+                    return next(each.result() for each in futures if each.done())
             raise ExperimentError(f'{what}: no answer within {deadline:g} s.')
         finally:
             self._node.destroy_client(client)

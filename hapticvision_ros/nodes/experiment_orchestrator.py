@@ -506,7 +506,7 @@ class ExperimentOrchestrator(CellNode):
                 self.get_logger().info(f'goal {self._goal_id()}: motion is forbidden')
                 self._publish_status()
             if running:
-                response.message += ' The running one is being cancelled: the tool retracts.'
+                response.message += ' The running one ends: a tool that may be low retracts first.'
         elif running:
             response.message = f'goal {self._goal_id()} is running: cancel it first.'
         elif self._emergency:

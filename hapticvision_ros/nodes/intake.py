@@ -22,6 +22,7 @@ each sample at once gives the stream a thread of its own, which waits for nothin
 """
 
 from collections.abc import Iterator
+import time
 from typing import Any, Final, Self
 
 from hapticvision_ros.bag.contract import POINTS, Topic
@@ -140,7 +141,9 @@ class Intake:
         with handle:
             while (taken := handle.take_message(kind, raw)) is not None:
                 message, info = taken
-                yield message, info['source_timestamp'], info['received_timestamp']
+                # Some middlewares leave the latter at zero.
+                received_ns = info['received_timestamp'] or time.time_ns()
+                yield message, info['source_timestamp'], received_ns
 
 
 def _never(message: Any) -> None:

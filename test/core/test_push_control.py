@@ -83,10 +83,13 @@ class Bench:
     def force(self):
         return ZERO + STIFFNESS * max(0.0, self.surface - self.height)
 
+    def place(self):
+        return None
+
     def step(self, tool='fresh', force='fresh'):
         tool = Reading(self.t, self.height) if tool == 'fresh' else tool
         force = Reading(self.t, self.force()) if force == 'fresh' else force
-        command = self.control.step(self.t, tool, force)
+        command = self.control.step(self.t, tool, force, place=self.place())
         self.log.append((self.t, self.height, command))
         self.height -= command.push_velocity * PERIOD
         self.t += PERIOD
@@ -665,3 +668,46 @@ def test_whatever_comes_in_the_speed_is_within_limits_and_after_a_fault_it_only_
         aborted = command.phase == 'aborted'
         if control.finished:
             assert control.step(t + 1.0, height, load, t + 1.0).push_velocity == 0.0
+
+
+class TestAToolThatGoesAside:
+    LIMITS = replace(LIMITS, largest_drift=0.005)
+
+    @staticmethod
+    def tilted(bench, slope):
+        """Let the arm go aside by `slope` times its way down."""
+        bench.place = lambda: (0.3, 0.1 + slope * (START - bench.height))
+        return bench
+
+    def test_it_aborts_and_goes_back_the_way_it_came(self):
+        bench = self.tilted(Bench(limits=self.LIMITS), 1.0)
+        bench.run_to_the_end()
+        assert 'mm beside where its motion began; 5 mm are allowed' in bench.control.reason
+        assert 'push_axis' in bench.control.reason
+        lowest = min(height for _, height, _ in bench.log)
+        assert START - 0.006 < lowest < START - 0.005
+        assert bench.height == pytest.approx(START, abs=1e-3)
+
+    def test_a_little_aside_is_allowed(self):
+        bench = self.tilted(Bench(limits=self.LIMITS), 0.1)
+        bench.run_to_the_end()
+        assert bench.control.reason is None
+
+    def test_a_retraction_that_goes_anywhere_else_ends(self):
+        bench = Bench(limits=self.LIMITS)
+        bench.control = PushControl.retraction(
+            self.LIMITS, bench.t, speed=0.02, to_height=START, reason='It was left low.'
+        )
+        # The arm goes aside only, and the height trembles.
+        bench.height, way = SURFACE, [0.0]
+
+        def place():
+            way[0] -= bench.log[-1][2].push_velocity * PERIOD if bench.log else 0.0
+            bench.height = SURFACE + 1e-5 * (len(bench.log) % 3)
+            return way[0], 0.0
+
+        bench.place = place
+        bench.run_to_the_end()
+        assert way[0] == pytest.approx(0.005, abs=2e-4)
+        assert bench.control.reason.startswith('It was left low. The tool is 5.')
+        assert bench.control.reason.endswith('It stays.')

@@ -30,7 +30,15 @@ import threading
 import time
 from typing import Any
 
-from hapticvision_ros.bag.contract import ENABLE, PUSH, Service, START_EXPERIMENT, Topic
+from hapticvision_ros.bag.contract import (
+    CANCEL_EXPERIMENT,
+    ENABLE,
+    ENABLE_EXPERIMENT,
+    PUSH,
+    Service,
+    STOP,
+    Topic,
+)
 from hapticvision_ros.nodes import qos
 import pytest
 import rclpy
@@ -47,6 +55,7 @@ START_DEADLINE = 90.0
 STOP_DEADLINE = 30.0
 ASK_AGAIN = 10.0
 """What may be asked twice is asked again after this long without an answer [s]."""
+REPEATABLE = tuple(each.name for each in (ENABLE, STOP, ENABLE_EXPERIMENT, CANCEL_EXPERIMENT))
 DOMAIN_LOCK_PORT = 61000
 
 
@@ -139,27 +148,32 @@ class Probe:
         assert publisher.wait_for_all_acked(Duration(seconds=20))
 
     def call(self, service: Service, request: Any, deadline: float = 60.0) -> Any:
-        """Return the answer of a service; what moves the arm is asked for only once."""
+        """
+        Return the answer of a service.
+
+        What may be done twice is asked for again if nothing comes back.
+        """
         client = qos.create_client(self.node, service)
         wait_until(client.service_is_ready, f'the service {service.name}', START_DEADLINE)
-        once = service.name.endswith((PUSH.name, START_EXPERIMENT.name))
-        answer = self._ask(client, request, service.name, deadline, 1 if once else 3)
+        again = service.name.endswith(REPEATABLE)
+        answer = self._ask(client, request, service.name, deadline, 3 if again else 1)
         self.node.destroy_client(client)
         return answer
 
     def _ask(self, client: Any, request: Any, what: str, deadline: float, times: int) -> Any:
         """Return a server's answer; ask again if it is lost."""
         end = time.monotonic() + deadline
+        futures = [client.call_async(request)]
+
+        def answered() -> Any:
+            return next((future for future in futures if future.done()), None)
+
         for _ in range(times - 1):
             # A client is ready once it has found the server, which may not have found it yet.
-            future = client.call_async(request)
             with contextlib.suppress(pytest.fail.Exception):
-                wait_until(future.done, f'the answer of {what}', ASK_AGAIN)
-                return future.result()
-            client.remove_pending_request(future)
-        future = client.call_async(request)
-        wait_until(future.done, f'the answer of {what}', end - time.monotonic())
-        return future.result()
+                return wait_until(answered, f'the answer of {what}', ASK_AGAIN).result()
+            futures.append(client.call_async(request))
+        return wait_until(answered, f'the answer of {what}', end - time.monotonic()).result()
 
     def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> list[Any]:
         """Set parameters of a node over its service and return the results."""

@@ -19,7 +19,7 @@ import threading
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from hapticvision_ros.bag.contract import PHASE, TOOL_HEIGHT
+from hapticvision_ros.bag.contract import PHASE, PUSH_REPORT, TOOL_HEIGHT
 from hapticvision_ros.core.errors import DeviceError, InputError
 from hapticvision_ros.nodes import arm_backends
 from hapticvision_ros.nodes.arm_backends import connect
@@ -133,49 +133,42 @@ def test_the_height_is_read_from_what_the_arm_tells(kind, parameters_of, probe, 
         arm.read(0.2)
 
 
-def test_a_pose_that_is_not_on_the_axis_of_the_push_tells_no_height(parameters_of, probe, until):
-    place = {'frame': 'base', 'x': 0.3}
+def test_a_pose_tells_the_place_too_and_in_another_frame_nothing(parameters_of, probe, until):
+    frame = ['base']
 
     def pose(height):
         message = _pose(height)
-        message.header.frame_id = place['frame']
-        message.pose.position.x = place['x']
+        message.header.frame_id = frame[0]
+        message.pose.position.x, message.pose.position.y = 0.3, -0.2
         return message
 
     robot = Robot(probe.node, TwistStamped, PoseStamped, pose)
     node, parameters = parameters_of(
-        backend='twist', tool_height_type='pose', tool_height_scale=1.0, largest_drift=0.01
+        backend='twist', tool_height_type='pose', tool_height_scale=1.0, tool_height_frame='base'
     )
     arm = connect(node, parameters)
+    state = arm.read(5.0)[-1]
+    assert state.tool_height == pytest.approx(robot.height)
+    assert state.place == (0.3, -0.2)
+    frame[0] = 'tool0'
 
-    def height():
+    def refusal():
         try:
-            return arm.read(0.1)[-1].tool_height
+            arm.read(0.1)
         except DeviceError as error:
-            assert 'has told no tool height' in str(error)
-            return None
+            return str(error)
+        return ''
 
-    assert until(height, 'a height') == pytest.approx(robot.height)
-    place['frame'] = 'tool0'
-    until(lambda: height() is None, 'the refusal of another frame')
-    # At rest somebody may jog it.
-    place |= {'frame': 'base', 'x': 0.5}
-    until(height, 'a height elsewhere')
-
-    def moving():
-        arm.command(0.001)
-        return height()
-
-    until(moving, 'a height on the way')
-    place['x'] = 0.509
-    for _ in range(20):
-        until(moving, 'a height within what is allowed')
-    place['x'] = 0.511
-    until(lambda: moving() is None, 'the refusal of a tool that goes aside')
-    # Once it rests, it stands where it stands.
-    until(height, 'a height at rest')
-    until(moving, 'a height of the next motion')
+    told = until(refusal, 'the refusal of another frame')
+    assert "is in the frame 'tool0', not in 'base'" in told
+    frame[0] = 'base'
+    until(lambda: not refusal(), 'a height again')
     arm.close()
+    # From the start.
+    frame[0] = 'tool0'
+    until(lambda: not probe.node.count_publishers('/robot/command'), 'the end of the first arm')
+    with pytest.raises(DeviceError, match="is in the frame 'tool0', not in 'base'"):
+        connect(node, parameters)
 
 
 def test_moveit_servo_gets_a_stamped_twist_along_the_push_axis(parameters_of, probe, until):
@@ -267,6 +260,7 @@ class WorldRobot:
     """An arm behind MoveIt Servo, whose motors are the simulated world's."""
 
     def __init__(self, node, port):
+        self.slope = 0.0
         self._arm = connect_arm(port)
         self._publisher = node.create_publisher(PoseStamped, '/robot/pose', 100)
         self._subscription = node.create_subscription(TwistStamped, '/robot/twist', self._move, 1)
@@ -291,6 +285,7 @@ class WorldRobot:
             message.header.stamp = Time(sec=sec, nanosec=nanosec)
             # In the frame of a robot that stands 0.3 m above the plane.
             message.pose.position.z = state.tool_height - 0.3
+            message.pose.position.x = self.slope * state.tool_height
             self._publisher.publish(message)
 
     def close(self):
@@ -312,12 +307,15 @@ def box(start_world, probe, tmp_path):
     robot = WorldRobot(probe.node, world.port)
     source = WorldSource(world.port)
     with NetFtEmulator(source, NetFtBox(rate=200)) as emulator:
+        emulator.robot = robot
         yield emulator
     source.close()
     robot.close()
 
 
-def test_a_whole_push_with_the_formats_of_real_devices(box, start_node, probe, until):
+@pytest.mark.parametrize('slope', [0.0, 2.0], ids=['along the axis', 'aside'])
+def test_a_whole_push_with_the_formats_of_real_devices(box, slope, start_node, probe, until):
+    box.robot.slope = slope
     start_node(
         'load_cell_driver',
         {
@@ -347,8 +345,16 @@ def test_a_whole_push_with_the_formats_of_real_devices(box, start_node, probe, u
         },
     )
     phases, heights = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
+    reports = probe.listen(PUSH_REPORT)
     probe.start_push()
     until(lambda: phases and phases[-1].data in ('done', 'aborted'), 'the end')
+    if slope:
+        # It has gone back, and is there for the next one.
+        assert 'beside where its motion began' in until(lambda: reports, 'a report')[-1].message
+        until(lambda: heights[-1].data > 0.045, 'the tool above the object')
+        assert phases[-1].data == 'aborted'
+        assert controller.stop() == 0
+        return
     assert phases[-1].data == 'done', controller.output
     lowest = min(message.data for message in heights)
     # The block is 40 mm high; 0.25 s on the way there and back, on a loaded machine, are 1 mm.

@@ -16,7 +16,7 @@
 
 from hapticvision_ros.bag.contract import CANCEL_EXPERIMENT, ENABLE_EXPERIMENT, START_EXPERIMENT
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.nodes import qos
+from hapticvision_ros.nodes import experiment_client, qos
 from hapticvision_ros.nodes.experiment_client import ExperimentClient, ExperimentError
 import pytest
 
@@ -43,7 +43,8 @@ class Orchestrator:
 
     def _server(self, service, answers):
         async def answer(request, response):
-            self.asked.append(service)
+            forbidden = service is ENABLE_EXPERIMENT and not request.data
+            self.asked.append((service, False) if forbidden else service)
             success = answers.pop(0) if len(answers) > 1 else answers[0]
             if success is None:
                 await self._never()
@@ -84,11 +85,27 @@ def test_enable_is_asked_for_again_and_the_start_is_not(run) -> None:
     assert asked.count(START_EXPERIMENT) == 1
 
 
-def test_an_experiment_whose_start_was_not_answered_is_cancelled(run) -> None:
-    said, asked = run(ExperimentError, [True], [None], [None, True])
+def test_an_experiment_whose_start_was_not_answered_is_forbidden_again(run) -> None:
+    said, asked = run(ExperimentError, [True], [None], [True])
     assert said == f'/experiment/start: no answer within {PATIENCE:g} s.'
     assert asked.count(START_EXPERIMENT) == 1
-    assert asked[-2:] == [CANCEL_EXPERIMENT] * 2
+    assert asked[-1] == (ENABLE_EXPERIMENT, False)
+
+
+@pytest.mark.parametrize('answers', [([True, None], [None]), ([None], [True])])
+def test_who_cannot_take_it_back_is_told_that_it_may_have_begun(run, monkeypatch, answers) -> None:
+    monkeypatch.setattr(experiment_client, 'CANCEL_ANSWER_DEADLINE', 1.0)
+    said, asked = run(ExperimentError, *answers, [True])
+    assert f'no answer within {PATIENCE:g} s, nor could the experiment be cancelled' in said
+    assert 'emergency stop' in said
+    assert asked[-1] == (ENABLE_EXPERIMENT, False)
+
+
+def test_an_orchestrator_that_is_not_there_has_nothing_to_take_back(ros) -> None:
+    client = ExperimentClient(patience=0.5)
+    with pytest.raises(ExperimentError, match=r'^/experiment/enable: not there within 0\.5 s\.$'):
+        client.run()
+    client.close()
 
 
 def test_a_start_that_is_not_allowed_is_not_asked_for(run) -> None:

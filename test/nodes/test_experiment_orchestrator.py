@@ -500,7 +500,7 @@ def test_motion_that_is_forbidden_cancels_the_goal(ready):
     assert 'cancel it first' in running.message
     forbidden = answered(ready, allow=False)
     assert forbidden.success
-    assert 'being cancelled' in forbidden.message
+    assert 'The running one ends' in forbidden.message
     assert ready._experiment.status is GoalStatus.CANCELING
     ready._experiment = None
 
@@ -508,6 +508,9 @@ def test_motion_that_is_forbidden_cancels_the_goal(ready):
 def test_what_was_allowed_before_an_emergency_stop_is_not_allowed_after_it(ready):
     assert answered(ready, allow=True).success
     ready._on_emergency_stop(Bool(data=True))
+    refused = answered(ready, allow=True)
+    assert not refused.success
+    assert 'emergency stop' in refused.message
     ready._on_emergency_stop(Bool(data=False))
     assert 'Nobody has allowed' in start(ready).message
 
