@@ -17,10 +17,18 @@
 from collections.abc import Callable
 from dataclasses import replace
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.records import CloudFrame, Estimate, Signal
-from hapticvision_ros.core.surface.cloud import CloudSettings, Observation, observe, Seen
+from hapticvision_ros.core.surface.cloud import (
+    _seen_radius,
+    CloudSettings,
+    Observation,
+    observe,
+    Seen,
+)
 from hapticvision_ros.core.surface.compare import compare, seen_triangles
 from hapticvision_ros.core.surface.deformation import measure, patch_height
 import numpy as np
@@ -239,3 +247,18 @@ def test_a_contact_point_that_is_not_seen_has_no_height() -> None:
     height = patch_height(nowhere)
     assert height.value is None
     assert '0 returns' in (height.reason or '')
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_sharp_plane_does_not_make_the_tool_sharp(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    angle = random.uniform(-1.4, 1.4, 600)
+    radius = TOOL_RADIUS + random.normal(0.0, 5e-5, 600)
+    tool = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.full(600, 0.05)))
+    stray = random.random(600) < 0.1
+    tool[stray, :2] = random.uniform(-0.012, 0.012, (int(stray.sum()), 2))
+    hold = SimpleNamespace(points=tool, tool=0.04, plane_noise=1e-9)
+    seen = _seen_radius(cast('Any', hold), 0.04)
+    assert seen.value is not None
+    assert seen.std is not None
+    assert abs(seen.value - TOOL_RADIUS) < 4.0 * seen.std < 1e-4
