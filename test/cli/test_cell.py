@@ -157,7 +157,7 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     environment = os.environ | {'ROS_DOMAIN_ID': str(domain), 'OMP_NUM_THREADS': '1'}
     bags = tmp_path / 'bags'
     run = [HAPTICVISION, 'cell', '--run', '--config', str(config), '--object', 'rubber']
-    run += ['--speeds', '0.005', '--depths', '0.003', '--hold-time', '2', '--recover-time', '1.5']
+    run += ['--speeds', '0.005', '--depths', '0.003', '--hold-time', '4', '--recover-time', '3']
     run += ['--out', str(bags)]
     done = subprocess.run(
         run, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
@@ -168,9 +168,10 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     assert main(fit) == 0
     result = tmp_path / 'fit' / 'result.json'
     told = json.loads(result.read_text())['before']['parameters']
-    # What the same body gives offline. A slight push meets its 2000, 1600 and 2400; 15 % of the
-    # height is none, and springs keep the volume.
-    for name, value in (('K1', 1431.0), ('C1', 1294.0), ('C2', 3123.0)):
+    # What the same body gives offline, by the mean of three seeds; a hold of 2 s leaves K1 open
+    # by a quarter there. A slight push meets its 2000, 1600 and 2400; 15 % of the height is none,
+    # and springs keep the volume.
+    for name, value in (('K1', 1501.0), ('C1', 1315.0), ('C2', 3051.0)):
         assert told[name]['value'] == pytest.approx(value, rel=0.1)
     shape = ['shape', str(result), str(bag), '--tool-radius', '8mm', '--size', '60x40x20mm']
     shape += ['--cell', '4mm', '--volume-ratio', '1', '--out', str(tmp_path / 'shape')]

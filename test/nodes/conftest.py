@@ -55,7 +55,9 @@ START_DEADLINE = 90.0
 STOP_DEADLINE = 30.0
 ASK_AGAIN = 10.0
 """What may be asked twice is asked again after this long without an answer [s]."""
-REPEATABLE = tuple(each.name for each in (ENABLE, STOP, ENABLE_EXPERIMENT, CANCEL_EXPERIMENT))
+REPEATABLE = tuple(
+    each.name for each in (ENABLE, STOP, PUSH, ENABLE_EXPERIMENT, CANCEL_EXPERIMENT)
+)
 DOMAIN_LOCK_PORT = 61000
 
 
@@ -215,9 +217,11 @@ class Probe:
 
         def started() -> bool:
             answer = self.call(PUSH, Trigger.Request())
-            # The first readings may still be on their way; anything else is final.
-            assert answer.success or 'within the last' in answer.message, answer.message
-            return bool(answer.success)
+            # The first readings may still be on their way, and the answer that it begins may have
+            # been lost; anything else is final.
+            begun = answer.success or 'is running already' in answer.message
+            assert begun or 'within the last' in answer.message, answer.message
+            return bool(begun)
 
         wait_until(started, 'a start with fresh readings')
 
