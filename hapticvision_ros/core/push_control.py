@@ -20,8 +20,10 @@ speed to command. Whatever is wrong ends in `aborted`: the tool stops, or retrac
 height is known. From then on no input brings it down again.
 """
 
+from collections import deque
 from dataclasses import dataclass, fields
 from math import dist, inf, isfinite
+from statistics import median
 from typing import Final, Literal, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
@@ -46,6 +48,10 @@ TAKEN_BACK: Final = (STOPPED_BY_HAND, DISABLED, DEACTIVATED, SHUT_DOWN)
 TOUCH_READINGS: Final = 2
 """Readings in a row above the touch force that count as touch: one may be a glitch."""
 
+PLACES: Final = 3
+"""The tool is aside once so many places in turn say so, and began where the first ones are."""
+COASTING: Final = 0.3
+"""An aborted push may go on aside for so long: braking, and what was told late [s]."""
 RETRACT_PATIENCE: Final = 2.0
 """How long an aborted push waits for the arm's height to come back, to retract [s]."""
 
@@ -235,7 +241,7 @@ class PushLimits:
         Time that the tool goes on after a stop command, in effect: the latency of the loop and
         half the braking time [s].
     largest_drift : float
-        How far the tool may come to stand beside where its motion began [m].
+        How far the tool may be beside where its motion began [m].
 
     """
 
@@ -421,6 +427,8 @@ class PushControl:
         One of the contract's phases.
     reason : str or None
         Why the push was aborted, one sentence.
+    stays : str
+        Why its retraction goes no further, or empty.
 
     """
 
@@ -509,8 +517,12 @@ class PushControl:
         self._at_rest = False
         self._highest = -inf
         self._progress = t
-        self._start_place: Place | None = None
+        self.stays = ''
+        self._start_places = list[Place]()
+        self._drifts = deque[float](maxlen=PLACES)
+        self._place_told = -inf
         self._drift = self._abort_drift = 0.0
+        self._coasts_until = -inf
         self._hold: HoldEstimator | None = None
         self._hold_time = 0.0
         self._lowest = inf
@@ -544,7 +556,7 @@ class PushControl:
         if self.phase in ('done', 'aborted'):
             return
         self.reason = reason
-        self._abort_drift = self._drift
+        self._coasts_until = t + COASTING
         self._enter('aborted', t)
 
     def step(
@@ -569,8 +581,8 @@ class PushControl:
         heartbeat : float or None
             When who watches over the push was last heard [s].
         place : tuple of float or None
-            Where the tool was last told to be, x and y across the vertical [m]; None if the arm
-            tells heights only.
+            Where the tool was told to be with `tool`, x and y across the vertical [m]; None if
+            the arm tells heights only.
 
         Returns
         -------
@@ -583,9 +595,7 @@ class PushControl:
         self._note(t, height, contact_force, force)
         if height is not None and tool is not None:
             self._follow(t, tool)
-        if place is not None:
-            self._start_place = self._start_place or place
-            self._drift = dist(place, self._start_place)
+            self._go_aside(t, tool, place)
         if self.phase not in ('done', 'aborted'):
             self._check(t, height, contact_force, heartbeat)
         self._last_step = t
@@ -639,6 +649,20 @@ class PushControl:
             else:
                 self._same_heights += 1
             self._last_tool = tool
+
+    def _go_aside(self, t: float, tool: Reading, place: Place | None) -> None:
+        """Take note of how far the tool is beside where its motion began."""
+        if place is None or tool.t <= self._place_told:
+            return
+        self._place_told = tool.t
+        if len(self._start_places) < PLACES:
+            self._start_places.append(place)
+        start = tuple(median(axis) for axis in zip(*self._start_places, strict=True))
+        # A single place may be garbage.
+        self._drifts.append(dist(place, start))
+        self._drift = min(self._drifts)
+        if t < self._coasts_until:
+            self._abort_drift = max(self._abort_drift, self._drift)
 
     def _check(
         self, t: float, height: float | None, force: float | None, heartbeat: float | None
@@ -826,11 +850,10 @@ class PushControl:
             return 0.0
         if self._drift > self._abort_drift + self._limits.largest_drift:
             # The way of the push takes it back, another takes it anywhere.
-            self.reason = (
-                f'{self.reason or "The tool was to be raised."} {self._aside()} It stays.'
-            )
-            self._at_rest = True
+            self.stays = f'{self._aside()} It was not raised any further.'
+            self._wait(t)
             return 0.0
+        self.stays = ''
         if height > self._highest:
             # A slow retraction gets on as well.
             self._highest = height + min(PROGRESS, 0.5 * self._goal.release_speed)

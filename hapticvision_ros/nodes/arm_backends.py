@@ -117,8 +117,8 @@ ARM_PARAMETERS: Final = (
         'largest_drift',
         'double',
         'm',
-        'A tool that comes to stand farther than this beside where its motion began aborts the '
-        'push; only poses tell.',
+        'A tool that is farther than this beside where its motion began aborts the push; only '
+        'poses tell.',
         1e-5,
         1.0,
         read_only=True,
@@ -278,6 +278,8 @@ class TopicArm:
                 place = None
                 if isinstance(message, PoseStamped):
                     place = message.pose.position.x, message.pose.position.y
+                    if not all(map(isfinite, place)):
+                        continue
                 states.append(ArmState(stamp_ns, self._scale * raw + self._offset, place))
         return states
 

@@ -356,6 +356,7 @@ class ArmPushController(ManagedCellNode):
         self._force: Reading | None = None
         self._tool: Reading | None = None
         self._place: tuple[float, float] | None = None
+        self._stays = ''
         self._heartbeat: float | None = None
         self._watched = 0.0
         self._surface_height: float | None = None
@@ -614,6 +615,7 @@ class ArmPushController(ManagedCellNode):
         if request.data:
             refusal = self._inability()
             self._enabled = not refusal
+            self._stays = ''
             response.success = not refusal
             response.message = refusal or 'Motion is allowed.'
             return response
@@ -667,6 +669,11 @@ class ArmPushController(ManagedCellNode):
             raise InputError(refusal)
         if not self._enabled:
             raise InputError(f'{FORBIDDEN}{self._forbidden}' if self._forbidden else NOT_ALLOWED)
+        if self._stays:
+            raise InputError(
+                f"{self._stays} Bring it up by the arm's own means, see to push_axis and "
+                'command_frame, and enable the controller anew.'
+            )
         tool = self._tool
         stale = self._limits.stale_time
         if tool is None or now - tool.t > stale:
@@ -739,8 +746,7 @@ class ArmPushController(ManagedCellNode):
             # Garbage that is taken for a height would end a retraction as if the tool were up.
             height = state.tool_height if abs(state.tool_height) <= _FARTHEST else nan
             self._tool = Reading(measured, height)
-            if state.place is not None and all(abs(item) <= _FARTHEST for item in state.place):
-                self._place = state.place
+            self._place = state.place
             if now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval
@@ -769,6 +775,8 @@ class ArmPushController(ManagedCellNode):
                     arm.command(0.0)
         if control.reason is not None:
             self.get_logger().warning(f'The push was aborted: {control.reason}')
+        if control.stays:
+            self.get_logger().error(control.stays)
 
     def _control_arm(self, control: PushControl, arm: Arm) -> None:
         self._late_cycles = 0
@@ -782,6 +790,7 @@ class ArmPushController(ManagedCellNode):
             command = control.step(now, self._tool, self._force, self._heartbeat, self._place)
             arm.command(command.push_velocity)
             if control.finished:
+                self._stays = control.stays
                 # Before the last phase is told: who hears it may start the next push at once.
                 self._control = None
                 self._recorded.set()

@@ -95,7 +95,6 @@ class ExperimentClient:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._goal_id = ''
-        self._asked = False
         self._result: Any = None
         self._status = 0
         self._heard = time.monotonic()
@@ -151,16 +150,14 @@ class ExperimentClient:
         # A server may find a client later than the client the server, and what it answers until
         # then is lost: the start, which must not be asked twice, comes when enable got through.
         start = create_client(self._node, START_EXPERIMENT)
-        self._asked = False
         # Who calls this command wants the arm to move, once.
-        try:
-            answer = self._call_service(ENABLE_EXPERIMENT, SetBool.Request(data=True))
-            if answer.success:
+        answer = self._call_service(ENABLE_EXPERIMENT, SetBool.Request(data=True))
+        if answer.success:
+            try:
                 answer = self._call(start, Trigger.Request(), START_EXPERIMENT.name, once=True)
-        except ExperimentError as error:
-            if self._asked:
+            except ExperimentError as error:
                 self._give_up(error)
-            raise
+                raise
         if not answer.success:
             raise UsageError(answer.message)
         self._goal_id = answer.message
@@ -220,7 +217,6 @@ class ExperimentClient:
             end = time.monotonic() + deadline
             futures = list[Any]()
             while (left := end - time.monotonic()) > 0.0:
-                self._asked = True
                 futures.append(client.call_async(request))
                 if self._spin_until(
                     lambda: any(each.done() for each in futures), min(again, left)

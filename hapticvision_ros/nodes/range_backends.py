@@ -119,7 +119,8 @@ RANGE_PARAMETERS: Final = (
         'nearest',
         'double',
         'm',
-        'What is nearer to the sensor is no return.',
+        'What is nearer to the sensor is no return; with a sensor_pose of zeros, as of clouds '
+        'that are in support_plane already, nothing is.',
         0.0,
         100.0,
         read_only=True,

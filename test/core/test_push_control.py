@@ -708,6 +708,41 @@ class TestAToolThatGoesAside:
 
         bench.place = place
         bench.run_to_the_end()
-        assert way[0] == pytest.approx(0.005, abs=2e-4)
-        assert bench.control.reason.startswith('It was left low. The tool is 5.')
-        assert bench.control.reason.endswith('It stays.')
+        assert way[0] == pytest.approx(0.005, abs=5e-4)
+        assert bench.control.reason == 'It was left low.'
+        assert bench.control.stays.startswith('The tool is 5.')
+        assert bench.control.stays.endswith('It was not raised any further.')
+
+    @pytest.mark.parametrize('aborts', [False, True])
+    def test_two_odd_places_are_garbage(self, aborts):
+        bench = Bench(limits=self.LIMITS)
+        count = [0]
+
+        def place():
+            count[0] += 1
+            return (0.0, 0.0) if count[0] % 50 < 2 else (0.3, 0.1)
+
+        bench.place = place
+        bench.run_until('hold')
+        if aborts:
+            bench.control.abort('Enough.', bench.t)
+        bench.run_to_the_end()
+        assert bench.control.reason == ('Enough.' if aborts else None)
+        assert bench.control.stays == ''
+        assert bench.height > SURFACE + 0.001
+
+    def test_an_arm_that_coasts_aside_goes_back(self):
+        limits = replace(LIMITS, largest_drift=0.001)
+        bench = Bench(limits=limits)
+        heights = []
+
+        def place():
+            # As it was told 0.1 s ago.
+            heights.append(bench.height)
+            return (0.3, 0.1 + 2.0 * (START - heights[max(len(heights) - 26, 0)]))
+
+        bench.place = place
+        bench.run_to_the_end()
+        assert 'beside where its motion began' in bench.control.reason
+        assert bench.control.stays == ''
+        assert bench.height == pytest.approx(START, abs=1e-3)

@@ -305,6 +305,54 @@ def test_an_orchestrator_that_was_started_anew_does_not_watch_over_the_push_of_t
         node.destroy_node()
 
 
+class AsideArm(StandingArm):
+    """An arm that goes aside when it is told to go up or down; its height trembles."""
+
+    def __init__(self):
+        super().__init__()
+        self.aside = 0.0
+        self._last = time.monotonic()
+
+    def read(self, timeout):
+        time.sleep(0.005)
+        now = time.monotonic()
+        self.aside -= (self.told[-1] if self.told else 0.0) * (now - self._last)
+        self._last = now
+        height = 0.05 + 1e-5 * (len(self.told) % 3)
+        return [ArmState(time.time_ns(), height, (self.aside, 0.0))]
+
+
+def test_an_arm_that_goes_aside_is_not_raised_again_and_again(ros, until, monkeypatch):
+    arm = AsideArm()
+    monkeypatch.setattr(ArmPushController, '_connect', lambda self: arm)
+    node = ArmPushController()
+    try:
+        node._limits = replace(node._limits, stale_time=60.0, heartbeat_time=0.0)
+        until(lambda: node._tool is not None, 'the height')
+        node._on_enable(SetBool.Request(data=True), SetBool.Response())
+
+        def asked():
+            response = node._on_retract(Trigger.Request(), Trigger.Response())
+            assert not response.success
+            return response.message
+
+        # As the orchestrator asks until the tool is up.
+        said = until(lambda: 'by the arm' in (said := asked()) and said, 'the refusal', 20.0)
+        assert 'beside where its motion began' in said
+        assert 'not raised any further' in said
+        way = arm.aside
+        assert way == pytest.approx(node._limits.largest_drift, rel=0.5)
+        assert asked() == said
+        assert node._control is None
+        node._on_enable(SetBool.Request(data=True), SetBool.Response())
+        assert asked() == 'The tool is on its way up.'
+        until(lambda: node._control is None, 'its end', 10.0)
+        assert arm.aside > way
+    finally:
+        node.close()
+        node.destroy_node()
+
+
 LISTENER = """
 import rclpy
 from hapticvision_ros.bag.contract import PHASE
