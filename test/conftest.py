@@ -50,7 +50,7 @@ PATIENT = (
     'replay',
     'cli/test_replay',
 )
-"""Those of them that move no arm and measure no time: they may run beside the others."""
+"""Those of them that do not hang on how fast an arm is stopped: they may run beside the others."""
 TOGETHER = ('report', 'core/diagnosis')
 """Folders whose tests share what takes long to make."""
 LONG = ('test_lint', 'test_doc_examples', 'core/diagnosis', 'report', 'test_package', 'cli')

@@ -519,6 +519,7 @@ class PushControl:
         self._progress = t
         self.stays = ''
         self._start_places = list[Place]()
+        self._start_place: Place = (0.0, 0.0)
         self._drifts = deque[float](maxlen=PLACES)
         self._place_told = -inf
         self._drift = self._abort_drift = 0.0
@@ -655,11 +656,12 @@ class PushControl:
         if place is None or tool.t <= self._place_told:
             return
         self._place_told = tool.t
+        # A single place may be garbage.
         if len(self._start_places) < PLACES:
             self._start_places.append(place)
-        start = tuple(median(axis) for axis in zip(*self._start_places, strict=True))
-        # A single place may be garbage.
-        self._drifts.append(dist(place, start))
+            x, y = zip(*self._start_places, strict=True)
+            self._start_place = median(x), median(y)
+        self._drifts.append(dist(place, self._start_place))
         self._drift = min(self._drifts)
         if t < self._coasts_until:
             self._abort_drift = max(self._abort_drift, self._drift)

@@ -272,6 +272,10 @@ PARAMETERS: Final = (
 
 HEARTBEAT_PERIOD: Final = 0.1
 """Time between two heartbeats, on which the arm's controller relies [s]."""
+CLOCK_STEP: Final = 0.01
+"""A clock that has gained or lost more from one look to the next was set [s]."""
+CLOCK_LOOK: Final = 0.001
+"""A look at both clocks that takes longer tells nothing [s]."""
 PATIENCE: Final = 2.0
 """Time after which a request that is not answered is sent again [s]."""
 PLAN_PATIENCE: Final = 8.0
@@ -418,6 +422,7 @@ class ExperimentOrchestrator(CellNode):
         self._kept: Decision | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
+        self._clock_offset: float | None = None
         self._unseen = 0.0
         self._reported = 0.0
         self._status: GoalStatus | None = None
@@ -728,6 +733,7 @@ class ExperimentOrchestrator(CellNode):
                     fitter.call_async(Trigger.Request())
             case Step.START:
                 self._push_report = None
+                self._clock_offset = None
                 watched = (WRENCH, TOOL_HEIGHT, POINTS, DISPLACEMENT_HEIGHT)
                 self._last_heard = dict.fromkeys((topic.name for topic in watched), now)
                 self._ask(PUSH, Trigger.Request())
@@ -768,6 +774,8 @@ class ExperimentOrchestrator(CellNode):
                 self._watch_disk(experiment, now)
                 if experiment.step is Step.PUSH:
                     self._watch_streams(experiment, now)
+                if experiment.step is Step.PUSH:
+                    self._watch_clock(experiment, now)
             case Step.STOP:
                 # An arm that was moving tells by its phase when it has come back.
                 if experiment.arm_phase in (None, 'done', 'aborted'):
@@ -1032,6 +1040,22 @@ class ExperimentOrchestrator(CellNode):
                     now,
                 )
                 return
+
+    def _watch_clock(self, experiment: Experiment, now: float) -> None:
+        """Take a trial for lost in which the machine's clock was set: its stamps do not agree."""
+        before = time.monotonic()
+        offset = time.time() - before
+        if time.monotonic() - before > CLOCK_LOOK:
+            # Held up between the two clocks.
+            return
+        last, self._clock_offset = self._clock_offset, offset
+        if last is not None and abs(offset - last) > CLOCK_STEP:
+            experiment.lost(
+                f'{experiment.trial.name}: the clock of this machine was set by '
+                f'{offset - last:+.3g} s in the push: let it follow its source slowly, as chrony '
+                'does, or set it between experiments',
+                now,
+            )
 
     def _finish(self, experiment: Experiment, now: float) -> None:
         """Close the bag once all that belongs to the trial is in it, and judge it."""

@@ -31,7 +31,7 @@ from hapticvision_ros.sim.campaigns import (
     Sensors,
     write_bags,
 )
-from hapticvision_ros.sim.config import load_config
+from hapticvision_ros.sim.config import load_config, WorldConfig
 from hapticvision_ros.sim.offline import CloudPlan
 from hapticvision_ros.sim.specimen import Body, EFFECTS, Undeclared
 from hapticvision_ros.sim.strengths import undeclared
@@ -111,14 +111,19 @@ def test_bags_tell_what_was_measured_and_nothing_of_the_truth(tmp_path: Path) ->
             assert word.encode() not in content
 
 
-def test_a_bag_with_clouds_gives_the_displacement_height_back(tmp_path: Path) -> None:
-    config = load_config()
-    one = replace(
+def before_clouds(config: WorldConfig, rate: float) -> Campaign:
+    """Return one push that the range sensor sees at `rate` [Hz]."""
+    return replace(
         CAMPAIGN,
         pushes=(Push(0.006, 0.006, 1.0, 2.0),),
-        sensors=replace(CAMPAIGN.sensors, height_rate=5.0, height_noise=0.0),
+        sensors=replace(CAMPAIGN.sensors, height_rate=rate, height_noise=0.0),
         surface_height=config.block.height,
     )
+
+
+def test_a_bag_with_clouds_gives_the_displacement_height_back(tmp_path: Path) -> None:
+    config = load_config()
+    one = before_clouds(config, 5.0)
     done = run(one, seed=3)
     (path,) = write_bags(done, tmp_path, clouds=(config, CloudPlan(80, 60, 2e-4)))
     read = read_trial(path)
@@ -133,12 +138,7 @@ def test_a_bag_with_clouds_gives_the_displacement_height_back(tmp_path: Path) ->
 
 def test_clouds_by_a_late_clock_show_the_tool_late(tmp_path: Path) -> None:
     config = load_config()
-    one = replace(
-        CAMPAIGN,
-        pushes=(Push(0.006, 0.006, 1.0, 2.0),),
-        sensors=replace(CAMPAIGN.sensors, height_rate=20.0, height_noise=0.0),
-        surface_height=config.block.height,
-    )
+    one = before_clouds(config, 20.0)
     rises = []
     for late in (0.0, 0.5):
         done = run(one, [Undeclared('clock_offset', (late,))], seed=3)
