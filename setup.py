@@ -51,7 +51,7 @@ setup(
     packages=find_namespace_packages(
         include=[NAME, f'{NAME}.*'], exclude=['*.__pycache__', '*.__pycache__.*']
     ),
-    package_data={NAME: ['py.typed'], f'{NAME}.report.templates': ['*']},
+    package_data={NAME: ['py.typed'], f'{NAME}.report.templates': ['*'], f'{NAME}.sim': ['*.c']},
     include_package_data=True,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -116,13 +116,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and return the exit code: 0 if all faults are safe."""
     from hapticvision_ros.core.faults import table
+    from hapticvision_ros.sim.settable_clock import clock_environment, NO_COMPILER
 
-    names = [f'{fault.name} in {fault.phase}' for fault in table()]
-    chosen = [name for name in names if not args.only or any(x in name for x in args.only)]
+    chosen = [
+        fault
+        for fault in table()
+        if not args.only or any(text in fault.line for text in args.only)
+    ]
     if not chosen:
         raise UsageError(f'--only {" ".join(args.only)} fits no fault: see --list.')
     if args.list:
-        print('\n'.join(chosen))
+        print('\n'.join(fault.line for fault in chosen))
         return 0
     check_domain(args.domain)
     domain = random.randint(1, LARGEST_DOMAIN) if args.domain is None else args.domain
@@ -132,6 +136,12 @@ def run(args: argparse.Namespace) -> int:
     page = args.page or out / 'faults.md'
     environment = ros_environment(domain)
     environment['OMP_NUM_THREADS'] = '1'
+    clock = clock_environment(out / 'clock')
+    if clock is None:
+        print(f'The faults of the clock are left out: {NO_COMPILER}', flush=True)
+        if all(fault.action == 'clock' for fault in chosen):
+            return 1
+    environment |= clock or {}
     with Supervisor(environment) as supervisor:
         options = ('--object', 'soft_dough', '--config', str(config / WORLD_CONFIG), *RATES)
         port = start_world(supervisor, 'hapticvision_ros.sim.faults', *options)

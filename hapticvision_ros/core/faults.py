@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 type Action = Literal[
-    'kill', 'hang', 'distort', 'disk', 'call', 'emergency', 'parameters', 'goal', 'again'
+    'kill', 'hang', 'distort', 'disk', 'call', 'emergency', 'parameters', 'goal', 'again', 'clock'
 ]
 
 PHASES: Final = ('approach', 'push', 'hold', 'release', 'recover')
@@ -55,6 +55,15 @@ STOP_WITHIN: Final = 0.8
 is stale, and what a busy machine takes. The pushes of the campaign last 2 s."""
 STOP_WITHOUT_HEARTBEAT: Final = 1.2
 """The same where only the heartbeat is missed, for 0.7 s [s]."""
+CLOCK_STEPS: Final = {
+    '50 ms ahead': 0.05,
+    '50 ms back': -0.05,
+    'a second ahead': 1.0,
+    'a second back': -1.0,
+    'an hour ahead': 3600.0,
+    'an hour back': -3600.0,
+}
+"""By how much the machine's clock is set [s]."""
 LARGEST_LOSS: Final = 1.0
 """The last second may be lost with a recorder that dies [s]."""
 LARGEST_OVERSHOOT: Final = 0.1
@@ -100,6 +109,11 @@ class Fault:
         return STOP_WITHOUT_HEARTBEAT if silent else STOP_WITHIN
 
     @property
+    def line(self) -> str:
+        """Return what goes wrong and when, as a list of the table tells it."""
+        return f'{self.name} in {self.phase}'
+
+    @property
     def name(self) -> str:
         """Return what goes wrong, in words."""
         match self.action:
@@ -115,6 +129,8 @@ class Fault:
                 return f'told to {self.target}'
             case 'parameters':
                 return f'{self.target} gets garbage parameters'
+            case 'clock':
+                return f"machine's clock set {self.how}"
             case 'again':
                 return 'a second goal is sent'
             case _:
@@ -202,6 +218,15 @@ def _near_the_limit() -> Iterable[Fault]:
         yield Fault('distort', 'arm', NEAR, how)
 
 
+def _clock_steps() -> Iterable[Fault]:
+    """Yield when the clock of the whole machine may be set, under all nodes at once."""
+    for how in CLOCK_STEPS:
+        yield Fault('clock', 'clock', 'push', how)
+    for how in ('an hour ahead', 'an hour back'):
+        for phase in ('approach', 'hold', NEAR):
+            yield Fault('clock', 'clock', phase, how)
+
+
 def table() -> tuple[Fault, ...]:
     """Return all cells of the table; one node does not die twice in a row."""
     faults: list[Fault] = []
@@ -218,6 +243,7 @@ def table() -> tuple[Fault, ...]:
     ]
     faults += _distortions()
     faults += _near_the_limit()
+    faults += _clock_steps()
     faults += [Fault('call', target, 'push') for target in TOLD_TO_STOP]
     faults += [
         Fault('parameters', node, phase, must_stop=False)

@@ -67,11 +67,8 @@ FROZEN_TRAVEL: Final = 0.0005
 FROZEN_HEIGHTS: Final = 3
 """In fewer readings a height may stay the same by its rate alone."""
 
-BACKWARD_STAMPS: Final = 20
-"""So many stamps in a row far before the newest tell that a clock was set back."""
-
-SET_BACK: Final = 1.0
-"""How far before the newest a stamp must lie for that [s]."""
+BACKWARD_STAMPS: Final = 5
+"""So many stamps in a row before the newest tell that a clock was set back."""
 
 WORKSPACE_MARGIN: Final = 0.001
 """How far outside of its workspace or its depth the tool aborts a push [m]."""
@@ -141,7 +138,8 @@ class MeasuredTime:
             self._offset += self._largest_drift * (received - self._received)
         self._received = received
         # Late, repeated and reordered samples come singly; a clock that was set back stays there.
-        self._backward = self._backward + 1 if stamp < self._newest - SET_BACK else 0
+        # One that was set back by less than these few samples makes them look late by no more.
+        self._backward = self._backward + 1 if stamp < self._newest else 0
         if self._backward >= BACKWARD_STAMPS:
             self._offset, self._newest, self._backward = inf, stamp, 0
         self._newest = max(self._newest, stamp)

@@ -16,6 +16,8 @@
 
 from dataclasses import dataclass
 
+from hapticvision_ros.core.push_control import BACKWARD_STAMPS
+
 _NS_PER_S = 1_000_000_000
 _LEAST_WINDOW = 0.5
 """A rate is measured over this time at least [s]."""
@@ -59,7 +61,7 @@ class StreamMonitor:
     ----------
     jump : float
         A stamp that lies back by more [s] is that of a clock that was set; what lies back less is
-        old.
+        old, unless `BACKWARD_STAMPS` in a row are: such a clock was set too.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class StreamMonitor:
         self.gap = 0.0
         self._jump_ns = round(jump * _NS_PER_S)
         self._last_ns: int | None = None
+        self._older = 0
         self._asked: tuple[float, int] | None = None
         self._rate: float | None = None
 
@@ -93,7 +96,8 @@ class StreamMonitor:
         health, last_ns = self.health, self._last_ns
         self.gap = 0.0
         if last_ns is not None and stamp_ns <= last_ns:
-            if last_ns - stamp_ns <= self._jump_ns:
+            self._older += stamp_ns < last_ns
+            if last_ns - stamp_ns <= self._jump_ns and self._older < BACKWARD_STAMPS:
                 health.not_newer += 1
                 return False
             health.clock_jumps += 1
@@ -102,7 +106,7 @@ class StreamMonitor:
             if self.gap > largest_gap:
                 health.gaps += 1
                 health.largest_gap = max(health.largest_gap, self.gap)
-        self._last_ns = stamp_ns
+        self._last_ns, self._older = stamp_ns, 0
         health.taken += 1
         return True
 

@@ -456,7 +456,7 @@ class ContactPointPlanner(CellNode):
         for message, _, received_ns in self._tool_heights.take():
             self._tool_height = float(message.data)
             # Nobody may have looked since it came.
-            self._tool_heard.note(ago=max(0.0, (time.time_ns() - received_ns) / NS_PER_S))
+            self._tool_heard.note(ago=(time.time_ns() - received_ns) / NS_PER_S)
         return self._tool_height if self._is_fresh(self._tool_heard) else None
 
     def _is_fresh(self, heard: Heard) -> bool:

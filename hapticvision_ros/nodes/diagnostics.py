@@ -177,11 +177,12 @@ class Heard:
         count : int
             How many.
         ago : float
-            How long ago the last one came [s].
+            How long ago the last one came [s]; what is to come yet, by a clock that was set back
+            since, came now.
 
         """
         if count:
-            self._last = time.monotonic() - ago
+            self._last = time.monotonic() - max(0.0, ago)
             self._count += count
 
     @property

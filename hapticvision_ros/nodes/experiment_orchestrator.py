@@ -63,6 +63,7 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.writer import preload
 from hapticvision_ros.core.autonomy import Budget, Cell, Decision, describe, Ending, Findings
+from hapticvision_ros.core.clock_watch import ClockWatch
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError
 from hapticvision_ros.core.experiment import (
     bag_prefix,
@@ -272,10 +273,6 @@ PARAMETERS: Final = (
 
 HEARTBEAT_PERIOD: Final = 0.1
 """Time between two heartbeats, on which the arm's controller relies [s]."""
-CLOCK_STEP: Final = 0.01
-"""A clock that has gained or lost more from one look to the next was set [s]."""
-CLOCK_LOOK: Final = 0.001
-"""A look at both clocks that takes longer tells nothing [s]."""
 PATIENCE: Final = 2.0
 """Time after which a request that is not answered is sent again [s]."""
 PLAN_PATIENCE: Final = 8.0
@@ -422,7 +419,7 @@ class ExperimentOrchestrator(CellNode):
         self._kept: Decision | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
-        self._clock_offset: float | None = None
+        self._clock_watch = ClockWatch()
         self._unseen = 0.0
         self._reported = 0.0
         self._status: GoalStatus | None = None
@@ -711,6 +708,9 @@ class ExperimentOrchestrator(CellNode):
             case Step.RECORD:
                 experiment.waiting_for = 'the bag to be opened'
                 self._unseen = 0.0
+                # What was set since the last push is of no matter, what is set from here on is.
+                self._clock_watch.forget()
+                self._clock_watch.step()
                 self._recording = Recording(
                     self._folder / trial.name,
                     {
@@ -733,7 +733,6 @@ class ExperimentOrchestrator(CellNode):
                     fitter.call_async(Trigger.Request())
             case Step.START:
                 self._push_report = None
-                self._clock_offset = None
                 watched = (WRENCH, TOOL_HEIGHT, POINTS, DISPLACEMENT_HEIGHT)
                 self._last_heard = dict.fromkeys((topic.name for topic in watched), now)
                 self._ask(PUSH, Trigger.Request())
@@ -1043,16 +1042,11 @@ class ExperimentOrchestrator(CellNode):
 
     def _watch_clock(self, experiment: Experiment, now: float) -> None:
         """Take a trial for lost in which the machine's clock was set: its stamps do not agree."""
-        before = time.monotonic()
-        offset = time.time() - before
-        if time.monotonic() - before > CLOCK_LOOK:
-            # Held up between the two clocks.
-            return
-        last, self._clock_offset = self._clock_offset, offset
-        if last is not None and abs(offset - last) > CLOCK_STEP:
+        step = self._clock_watch.step()
+        if step:
             experiment.lost(
                 f'{experiment.trial.name}: the clock of this machine was set by '
-                f'{offset - last:+.3g} s in the push: let it follow its source slowly, as chrony '
+                f'{step:+.3g} s in the push: let it follow its source slowly, as chrony '
                 'does, or set it between experiments',
                 now,
             )

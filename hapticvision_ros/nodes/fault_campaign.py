@@ -24,6 +24,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 import json
+from operator import sub
 import os
 from pathlib import Path
 import resource
@@ -52,6 +53,7 @@ from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.core.faults import (
     ARM,
+    CLOCK_STEPS,
     Fault,
     LOAD_CELL,
     markdown,
@@ -70,6 +72,7 @@ from hapticvision_ros.nodes.qos import (
     create_subscription,
 )
 from hapticvision_ros.sim.faults import FaultLink
+from hapticvision_ros.sim.settable_clock import can_be_set, NO_COMPILER, set_clock
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
@@ -102,6 +105,8 @@ AT_LIMIT: Final = 0.97
 """Share of the force limit from which on a push that takes too much has come to it."""
 DUE: Final = 0.9
 """Share of the force limit at which something goes wrong near it."""
+STRIDE_NS: Final = 10**9
+"""A longer step from one message to the next is one of the clock, which was set [ns]."""
 STILL_GOING: Final = 0.02
 """A tool that went down so short a time ago goes down [s]."""
 MATERIALS: Final = {NEAR: 'hard_dough'}
@@ -192,8 +197,8 @@ class Campaign:
             'speeds': [SPEEDS.get(fault.how, SPEED)],
             'depths': [DEPTHS.get(fault.how, DEPTH)],
         }
+        self._heal()
         self._configure(ORCHESTRATOR, goal)
-        self._world.ask('heal')
         self._world.ask('material', name=MATERIALS.get(fault.phase, USUAL))
         self._world.ask('watch')
         self._phases.clear()
@@ -205,19 +210,31 @@ class Campaign:
             self._until(lambda: self._due(fault) or self._results, PHASE_DEADLINE)
             if not self._due(fault):
                 said = self._results[-1].message if self._results else 'nothing'
+                self._end()
                 return self._measured(fault, folder, 0, f'{NEVER} {fault.phase}: {said}')
         fault_ns = time.time_ns()
         trouble = self._inject(fault)
         ended = self._until(lambda: bool(self._results) or self._gone(fault), END_DEADLINE)
         if not ended:
             trouble = trouble or 'the experiment did not end'
-            self._tell('cancel')
-            self._until(lambda: bool(self._results), END_DEADLINE)
-        self._world.ask('heal')
+            self._end()
+        self._heal()
         self._until(self._safe, REST_DEADLINE)
         if fault.action == 'emergency':
             self._button.publish(Bool(data=False))
         return self._measured(fault, folder, fault_ns, trouble)
+
+    def _end(self) -> None:
+        """Let there be no experiment that still runs."""
+        if not self._results:
+            self._tell('cancel')
+            self._until(lambda: bool(self._results), END_DEADLINE)
+
+    def _heal(self) -> None:
+        """Let the devices and the clock be right again."""
+        self._world.ask('heal')
+        if can_be_set():
+            set_clock(0.0)
 
     def _started(self) -> Any:
         """Send a goal that may move the arm, and return the answer."""
@@ -263,6 +280,8 @@ class Campaign:
                 self._world.ask('distort', stream=fault.target, how=fault.how)
                 self._spin(DURATION)
                 self._world.ask('heal')
+            case 'clock':
+                set_clock(CLOCK_STEPS[fault.how])
             case 'disk':
                 pid = process_of(ORCHESTRATOR)
                 soft, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
@@ -450,7 +469,7 @@ def _bag(folder: Path, fault_ns: int) -> tuple[float, float, bool]:
         # The folder was made when the recording began, and its recorder died soon after.
         lost = (fault_ns - bag.stat().st_mtime_ns) / NS_PER_S
         return 0.0, max(0.0, lost), lost < 1.0
-    kept = (max(stamps) - min(stamps)) / NS_PER_S
+    kept = sum(step for step in map(sub, stamps[1:], stamps) if 0 < step < STRIDE_NS) / NS_PER_S
     lost = max(0.0, (fault_ns - max(stamps)) / NS_PER_S)
     try:
         read_trial(bag)
@@ -511,7 +530,8 @@ def chosen(only: Sequence[str]) -> list[tuple[int, Fault]]:
     return [
         (number, fault)
         for number, fault in enumerate(table(), start=1)
-        if not only or any(text in f'{fault.name} in {fault.phase}' for text in only)
+        if (fault.action != 'clock' or can_be_set())
+        and (not only or any(text in fault.line for text in only))
     ]
 
 
@@ -557,6 +577,8 @@ def main() -> int:
         f'before its fault was due, because the machine was held up, was made again: {repeated} '
         'times.'
     )
+    if not can_be_set():
+        limit += f' The clock could not be set: {NO_COMPILER}'
     _write(args.page, rows, safe, took, limit)
     (args.out / 'faults.json').write_text(json.dumps(rows, indent=1), encoding='utf-8')
     print(f'{safe} of {len(rows)} faults are safe, in {took:.0f} s: {args.page}')

@@ -32,6 +32,7 @@ import sys
 import time
 from types import FrameType
 
+from hapticvision_ros.core.clock_watch import ClockWatch
 from hapticvision_ros.core.errors import DeviceError, HapticVisionError, InputError, UsageError
 from hapticvision_ros.sim.config import load_config, WorldConfig
 from hapticvision_ros.sim.objects import Material
@@ -126,6 +127,7 @@ class WorldServer:
         """Run the world in real time until `stopped` says so."""
         start = time.monotonic() - self._world.time
         start_ns = time.time_ns() - round(self._world.time * 1e9)
+        clock = ClockWatch()
         next_tick = time.monotonic()
         while not stopped():
             next_tick += TICK
@@ -134,6 +136,8 @@ class WorldServer:
                 time.sleep(pause)
             now = time.monotonic() - start
             self._listen(now)
+            # Devices stamp by the machine's clock, also when it was set.
+            start_ns += round(clock.step() * 1e9)
             self._stream(self._world.advance(now), start_ns)
 
     def close(self) -> None:

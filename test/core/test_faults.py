@@ -63,7 +63,7 @@ def test_each_node_gets_garbage():
 def test_whatever_happens_near_the_limit_the_push_has_to_stop():
     near = [fault for fault in table() if fault.phase == NEAR]
     assert all(fault.must_stop for fault in near)
-    assert {fault.action for fault in near} == {'kill', 'hang', 'distort'}
+    assert {fault.action for fault in near} == {'kill', 'hang', 'distort', 'clock'}
     # What a push into the hard dough comes to that nobody stops.
     whole = replace(GOOD, peak_force=25.7)
     assert {verdict(fault, whole) for fault in near} == {'too much force'}

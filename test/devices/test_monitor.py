@@ -14,6 +14,7 @@
 
 """What is watched on a stream."""
 
+from hapticvision_ros.core.push_control import BACKWARD_STAMPS
 from hapticvision_ros.devices.monitor import StreamHealth, StreamMonitor
 import pytest
 
@@ -37,6 +38,21 @@ def test_a_clock_that_is_set_back_does_not_silence_the_stream():
     assert all(taken)
     assert health.clock_jumps == 1
     assert health.gaps == 0
+
+
+@pytest.mark.parametrize('back', [50, 400, 999])
+def test_a_clock_that_is_set_back_a_little_is_found_out_in_a_few_readings(back):
+    stamps = [*range(2000), *range(2000 - back, 4000 - back)]
+    taken, health = _health(stamps)
+    few = BACKWARD_STAMPS - 1
+    assert taken == [True] * 2000 + [False] * few + [True] * (2000 - few)
+    assert (health.clock_jumps, health.not_newer, health.gaps) == (1, few, 0)
+
+
+def test_readings_that_change_places_or_come_twice_are_no_clock():
+    stamps = [stamp for k in range(0, 200, 2) for stamp in (k + 1, k, k + 1, k + 1)]
+    _, health = _health(stamps)
+    assert (health.clock_jumps, health.taken) == (0, 100)
 
 
 def test_after_a_loss_there_is_no_gap():

@@ -15,7 +15,14 @@
 """What nodes say of themselves on ``/diagnostics``."""
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hapticvision_ros.nodes.diagnostics import DIAGNOSTICS, Diagnostics, Finding, Level, worst
+from hapticvision_ros.nodes.diagnostics import (
+    DIAGNOSTICS,
+    Diagnostics,
+    Finding,
+    Heard,
+    Level,
+    worst,
+)
 import pytest
 import rclpy
 
@@ -84,6 +91,13 @@ def test_the_worst_finding_counts_and_all_that_is_wrong_is_said():
     assert together.values == {'rate_hz': 1000.0, 'saturated': 2, 'lost': 4}
     assert worst([good], 'All is well.').message == 'All is well.'
     assert worst([], 'All is well.').level is Level.OK
+
+
+@pytest.mark.parametrize(('ago', 'age'), [(5.0, 5.0), (0.0, 0.0), (-3600.0, 0.0)])
+def test_what_came_by_a_clock_that_was_set_back_came_now(ago, age):
+    heard = Heard('The force', 'force')
+    heard.note(ago=ago)
+    assert heard.age == pytest.approx(age, abs=1.0)
 
 
 def test_a_change_is_sent_at_once(node, probe, until):
