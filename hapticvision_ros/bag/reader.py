@@ -95,14 +95,7 @@ class TrialStreams:
 
         """
         told = list(warnings)
-        for stream in self.all:
-            stream.settle_times()
-        ends = [end for each in self.all if (end := each.end_before_set_back) is not None]
-        if ends:
-            told.append(f'{where}: the clock was set back while it was recorded: read up to there')
-            for stream in self.all:
-                stream.end_at(max(ends))
-        middles = [middle for stream in self.all if (middle := stream.middle) is not None]
+        middles = [middle for stream in self.all if (middle := stream.settle_times()) is not None]
         # The first one is that of the force, if there is any.
         middle_ns = middles[0] if middles else 0
         starts = [first for each in self.all if (first := each.keep_near(middle_ns)) is not None]

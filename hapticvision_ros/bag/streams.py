@@ -24,7 +24,6 @@ from hapticvision_ros.bag.cdr import BoolArray, IntArray, NS_PER_S
 from hapticvision_ros.bag.clouds import BagClouds, CloudLayout, CloudReference, read_layout
 from hapticvision_ros.bag.contract import PHASES, Topic
 from hapticvision_ros.bag.mcap_scan import Batch, Channel, Place
-from hapticvision_ros.core.clock_watch import STEP_NS
 from hapticvision_ros.core.records import FloatArray, Signal
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +35,6 @@ How far the two clocks of one message may be apart.
 No latency is that long, and nobody sets clocks so badly on purpose. Beyond it a stamp is a mistake
 (never set, or of a clock that counts from the sensor's start), and the streams would not line up.
 """
-MOST_STEPS: Final = 5
-"""Where times go back more often, no clock was set: the messages are in no order."""
 LONGEST_TRIAL_NS: Final = 24 * 3600 * NS_PER_S
 """A message further than this from the middle of the trial has a wrong date."""
 GAP_FACTOR: Final = 10.0
@@ -90,37 +87,6 @@ def reconcile(stamps: IntArray, reference: IntArray) -> tuple[IntArray, int, int
     return np.where(replaced, reference + offset, stamps), offset, int(np.count_nonzero(replaced))
 
 
-def set_back(stamps: IntArray, log: IntArray) -> int | None:
-    """
-    Find where the clock of a recording machine was set back.
-
-    A recorder takes the messages of a topic one after the other, so that its own times go back for
-    that alone, but in files that were put together from parts in another order: these follow one
-    another without a gap, or are many.
-
-    Parameters
-    ----------
-    stamps, log : ndarray of int64, shape (n,)
-        The times of a topic's messages and when they were recorded, in the order of the file
-        [ns since the epoch].
-
-    Returns
-    -------
-    int or None
-        The first message whose stamp is by the clock that was set; None if there is none.
-
-    """
-    back = np.flatnonzero(np.diff(log) < -STEP_NS)
-    if not 0 < back.size <= MOST_STEPS:
-        return None
-    cut = int(back[0]) + 1
-    before, after = stamps[:cut], stamps[cut:]
-    goes_on = int(after.min()) >= int(before.max())
-    gap = int(before.min()) - int(after.max())
-    swapped = 0 <= gap <= GAP_FACTOR * np.median(np.abs(np.diff(stamps)))
-    return None if goes_on or swapped else cut
-
-
 @dataclass(frozen=True, slots=True)
 class Timed:
     """What a topic's usable messages hold, in order of time, with strictly increasing times."""
@@ -156,7 +122,6 @@ class Stream(ABC):
         self._payload: list[_Payload] = []
         self._stamps = np.empty(0, np.int64)
         self._rows: _Payload = np.empty(0)
-        self._cut: int | None = None
 
     @abstractmethod
     def decode(self, batch: Batch) -> tuple[IntArray | None, _Payload, BoolArray]:
@@ -193,15 +158,21 @@ class Stream(ABC):
             return f'{self.topic.name} cannot be used: {reasons}'
         return f'{self.topic.name} holds no finite number in {self._seen} messages'
 
-    def settle_times(self) -> None:
+    def settle_times(self) -> int | None:
         """
         Give every message its time, by the contract's rule.
 
         The header stamp counts where there is one, else the publish time; a stamp that was never
         set or is far from the message's other times is replaced.
+
+        Returns
+        -------
+        middle : int or None
+            The median stamp [ns since the epoch]; None if there is no message.
+
         """
         if not sum(part.size for part in self._log):
-            return
+            return None
         log = np.concatenate(self._log)
         stamps, _, replaced = reconcile(np.concatenate(self._publish), log)
         if replaced:
@@ -220,33 +191,7 @@ class Stream(ABC):
                     'times: moved onto them, so that the streams line up to within the latency'
                 )
         self._stamps, self._rows = stamps, np.concatenate(self._payload)
-        self._cut = set_back(stamps, log)
-
-    @property
-    def middle(self) -> int | None:
-        """Return the median stamp [ns since the epoch]; None if there is no message."""
-        if not self._stamps.size:
-            return None
-        return int(np.partition(self._stamps, self._stamps.size // 2)[self._stamps.size // 2])
-
-    @property
-    def end_before_set_back(self) -> int | None:
-        """
-        Return the last stamp before the recorder's clock was set back [ns since the epoch].
-
-        None if it was not, as far as this topic shows it: a few messages may have been late.
-        """
-        if self._cut is None or self._stamps.size - self._cut < FEWEST_FOR_INTERVALS:
-            return None
-        return int(self._stamps[: self._cut].max())
-
-    def end_at(self, end_ns: int) -> None:
-        """Leave out what came after the clock was set back, when it told `end_ns`."""
-        keep = self._stamps <= end_ns
-        if self._cut is not None:
-            keep &= np.arange(keep.size) < self._cut
-        self.refuse('come after the clock was set back', int(np.count_nonzero(~keep)))
-        self._stamps, self._rows = self._stamps[keep], self._rows[keep]
+        return int(np.partition(stamps, stamps.size // 2)[stamps.size // 2])
 
     def keep_near(self, middle_ns: int) -> int | None:
         """

@@ -32,11 +32,12 @@ from hapticvision_ros.cli.cell import (
 from hapticvision_ros.cli.configuration import write_config
 from hapticvision_ros.cli.processes import program, ros_environment, Supervisor
 from hapticvision_ros.cli.replay import check_domain
-from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.errors import HapticVisionError, UsageError
 
 CLIENT: Final = 'fault_campaign'
 LARGEST_DOMAIN: Final = 101
 RESTARTS: Final = 100
+LEFT_OUT: Final = "The faults of the machine's clock are left out"
 FORCE_LIMIT: Final = 20.0
 """A push into the soft dough takes half of it [N]."""
 START_HEIGHT: Final = 0.052
@@ -116,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and return the exit code: 0 if all faults are safe."""
     from hapticvision_ros.core.faults import table
-    from hapticvision_ros.sim.settable_clock import clock_environment, NO_COMPILER
+    from hapticvision_ros.sim.settable_clock import clock_environment
 
     chosen = [
         fault
@@ -131,17 +132,18 @@ def run(args: argparse.Namespace) -> int:
     check_domain(args.domain)
     domain = random.randint(1, LARGEST_DOMAIN) if args.domain is None else args.domain
     out = args.out / datetime.now().astimezone().strftime('%Y%m%d-%H%M%S')
+    environment = ros_environment(domain)
+    environment['OMP_NUM_THREADS'] = '1'
+    if any(fault.action == 'clock' for fault in chosen):
+        try:
+            environment |= clock_environment(out / 'clock')
+        except HapticVisionError as error:
+            if all(fault.action == 'clock' for fault in chosen):
+                raise
+            print(f'{LEFT_OUT}: {error}', flush=True)
     config = out / 'config'
     write_config(config, QUICK)
     page = args.page or out / 'faults.md'
-    environment = ros_environment(domain)
-    environment['OMP_NUM_THREADS'] = '1'
-    clock = clock_environment(out / 'clock')
-    if clock is None:
-        print(f'The faults of the clock are left out: {NO_COMPILER}', flush=True)
-        if all(fault.action == 'clock' for fault in chosen):
-            return 1
-    environment |= clock or {}
     with Supervisor(environment) as supervisor:
         options = ('--object', 'soft_dough', '--config', str(config / WORLD_CONFIG), *RATES)
         port = start_world(supervisor, 'hapticvision_ros.sim.faults', *options)

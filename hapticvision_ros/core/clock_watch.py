@@ -18,7 +18,7 @@ The latter is never set. A clock that follows its source slowly gains or loses l
 to the next than is told here.
 """
 
-import time
+from collections.abc import Callable
 from typing import Final
 
 NS_PER_S: Final = 1_000_000_000
@@ -29,9 +29,18 @@ LOOK_NS: Final = 1_000_000
 
 
 class ClockWatch:
-    """Looks at both clocks again and again, and remembers the last look."""
+    """
+    Looks at both clocks again and again, and remembers the last look.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    time_of_day, since_start : callable
+        Return the time of day, and the time since the machine started [ns].
+
+    """
+
+    def __init__(self, time_of_day: Callable[[], int], since_start: Callable[[], int]) -> None:
+        self._time_of_day, self._since_start = time_of_day, since_start
         self._offset_ns: int | None = None
 
     def forget(self) -> None:
@@ -40,9 +49,9 @@ class ClockWatch:
 
     def step(self) -> float:
         """Return by how much the clock was set since the last look [s]; 0 if it was not."""
-        before = time.monotonic_ns()
-        offset_ns = time.time_ns() - before
-        if time.monotonic_ns() - before > LOOK_NS:
+        before = self._since_start()
+        offset_ns = self._time_of_day() - before
+        if self._since_start() - before > LOOK_NS:
             # Held up between the two clocks.
             return 0.0
         last_ns, self._offset_ns = self._offset_ns, offset_ns

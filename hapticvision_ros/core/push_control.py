@@ -70,6 +70,12 @@ FROZEN_HEIGHTS: Final = 3
 BACKWARD_STAMPS: Final = 5
 """So many stamps in a row before the newest tell that a clock was set back."""
 
+FAR_BACK: Final = 1.0
+"""Stamps that are further back may be another's, as of a bag that is played into the cell [s]."""
+
+FAR_BACKWARD_STAMPS: Final = 20
+"""So many in a row of these tell that it was the clock."""
+
 WORKSPACE_MARGIN: Final = 0.001
 """How far outside of its workspace or its depth the tool aborts a push [m]."""
 
@@ -140,7 +146,8 @@ class MeasuredTime:
         # Late, repeated and reordered samples come singly; a clock that was set back stays there.
         # One that was set back by less than these few samples makes them look late by no more.
         self._backward = self._backward + 1 if stamp < self._newest else 0
-        if self._backward >= BACKWARD_STAMPS:
+        far = self._newest - stamp > FAR_BACK
+        if self._backward >= (FAR_BACKWARD_STAMPS if far else BACKWARD_STAMPS):
             self._offset, self._newest, self._backward = inf, stamp, 0
         self._newest = max(self._newest, stamp)
         self._offset = min(self._offset, received - stamp)

@@ -222,6 +222,9 @@ class Segmentation:
         Standard error of `force_zero` [N], corrected for autocorrelation; 0 where it is unknown.
     contact_height_std : float
         Standard error of `contact_height` [m]; 0 where it is unknown.
+    push_is_cut : bool
+        Whether the force is largest at the start of the record: what was pressed before, and for
+        how long, is not in it.
 
     """
 
@@ -237,6 +240,7 @@ class Segmentation:
     warnings: tuple[str, ...] = ()
     force_zero_std: float = 0.0
     contact_height_std: float = 0.0
+    push_is_cut: bool = False
 
     @property
     def hold_time(self) -> float | None:

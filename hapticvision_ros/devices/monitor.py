@@ -39,7 +39,7 @@ class StreamHealth:
     not_newer : int
         Readings that were not newer than the one before, and left out.
     clock_jumps : int
-        How often the stamps went back so far that the clock must have been set.
+        How often the stamps went back as those of a clock that was set.
     far_off : int
         Readings whose stamp was so far from now that they were left out, by whoever takes them.
 

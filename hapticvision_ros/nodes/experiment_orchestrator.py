@@ -419,7 +419,7 @@ class ExperimentOrchestrator(CellNode):
         self._kept: Decision | None = None
         self._carried_out: tuple[Step, float] | None = None
         self._last_heard: dict[str, float] = {}
-        self._clock_watch = ClockWatch()
+        self._clock_watch = ClockWatch(time.time_ns, time.monotonic_ns)
         self._unseen = 0.0
         self._reported = 0.0
         self._status: GoalStatus | None = None
@@ -1046,7 +1046,7 @@ class ExperimentOrchestrator(CellNode):
         if step:
             experiment.lost(
                 f'{experiment.trial.name}: the clock of this machine was set by '
-                f'{step:+.3g} s in the push: let it follow its source slowly, as chrony '
+                f'{step:+.3g} s in the trial: let it follow its source slowly, as chrony '
                 'does, or set it between experiments',
                 now,
             )

@@ -72,7 +72,7 @@ from hapticvision_ros.nodes.qos import (
     create_subscription,
 )
 from hapticvision_ros.sim.faults import FaultLink
-from hapticvision_ros.sim.settable_clock import can_be_set, NO_COMPILER, set_clock
+from hapticvision_ros.sim.settable_clock import can_be_set, set_clock
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
@@ -470,7 +470,9 @@ def _bag(folder: Path, fault_ns: int) -> tuple[float, float, bool]:
         lost = (fault_ns - bag.stat().st_mtime_ns) / NS_PER_S
         return 0.0, max(0.0, lost), lost < 1.0
     kept = sum(step for step in map(sub, stamps[1:], stamps) if 0 < step < STRIDE_NS) / NS_PER_S
-    lost = max(0.0, (fault_ns - max(stamps)) / NS_PER_S)
+    # A clock that was set ahead stamps what comes after the fault only.
+    before = [stamp for stamp in stamps if stamp <= fault_ns] or stamps
+    lost = max(0.0, (fault_ns - max(before)) / NS_PER_S)
     try:
         read_trial(bag)
     except HapticVisionError as error:
@@ -578,7 +580,7 @@ def main() -> int:
         'times.'
     )
     if not can_be_set():
-        limit += f' The clock could not be set: {NO_COMPILER}'
+        limit += " Faults of the machine's clock are not among them."
     _write(args.page, rows, safe, took, limit)
     (args.out / 'faults.json').write_text(json.dumps(rows, indent=1), encoding='utf-8')
     print(f'{safe} of {len(rows)} faults are safe, in {took:.0f} s: {args.page}')

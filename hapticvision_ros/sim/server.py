@@ -127,7 +127,7 @@ class WorldServer:
         """Run the world in real time until `stopped` says so."""
         start = time.monotonic() - self._world.time
         start_ns = time.time_ns() - round(self._world.time * 1e9)
-        clock = ClockWatch()
+        clock = ClockWatch(time.time_ns, time.monotonic_ns)
         next_tick = time.monotonic()
         while not stopped():
             next_tick += TICK

@@ -82,10 +82,15 @@ static struct timespec spec(int64_t time)
   return (struct timespec){.tv_sec = time / SECOND, .tv_nsec = time % SECOND};
 }
 
-int clock_gettime(clockid_t clock, struct timespec *time)
+static int machine_clock(clockid_t clock, struct timespec *time)
 {
   HIDDEN(clock_gettime, NULL)
-  int result = real(clock, time);
+  return real(clock, time);
+}
+
+int clock_gettime(clockid_t clock, struct timespec *time)
+{
+  int result = machine_clock(clock, time);
   if (result == 0 && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) {
     *time = spec(ns(time) + *set_by);
   }
@@ -97,6 +102,11 @@ static int64_t now(void)
   struct timespec time;
   clock_gettime(CLOCK_REALTIME, &time);
   return ns(&time);
+}
+
+static int64_t earlier(int64_t a, int64_t b)
+{
+  return a < b ? a : b;
 }
 
 time_t time(time_t *to)
@@ -120,9 +130,11 @@ int gettimeofday(struct timeval *restrict to, void *restrict zone)
 /* The end, by the kernel's clock, of the next slice of a wait until `end`. */
 static struct timespec slice(int64_t end)
 {
-  int64_t time = now();
-  int64_t until = end < time + SLICE ? end : time + SLICE;
-  return spec(until - *set_by);
+  /* Read once: it may be set in between, and an hour be slept for it. */
+  int64_t by = *set_by;
+  struct timespec machine;
+  machine_clock(CLOCK_REALTIME, &machine);
+  return spec(earlier(end - by, ns(&machine) + SLICE));
 }
 
 int pthread_cond_timedwait(

@@ -96,48 +96,6 @@ def test_messages_out_of_order_are_sorted(maker, foreign: Foreign) -> None:
     assert trial.phases == ((0.0, 'approach'), (0.05, 'push'))
 
 
-def by_another_clock(maker, count: int, from_: int, back: int) -> list:
-    """Return a trial's samples, recorded by a clock that was set back by `back` ms on the way."""
-    samples = []
-    for k in range(count):
-        ms = k - back if k >= from_ else k
-        samples += [maker.wrench(ms, -float(k)), maker.number(TOOL_HEIGHT, ms, 1e-4 * k)]
-        if k % 10 == 0:
-            samples.append(maker.number(DISPLACEMENT_HEIGHT, ms, 1e-4 * k))
-    return samples
-
-
-@pytest.mark.parametrize('back', [50, 1000, 3_600_000])
-def test_where_the_clock_was_set_back_a_trial_ends(maker, foreign: Foreign, back) -> None:
-    trial = read_trial(foreign(by_another_clock(maker, 400, 200, back)))
-    assert any('the clock was set back while it was recorded' in w for w in trial.warnings)
-    assert any(
-        '200 of 400 messages come after the clock was set back' in w for w in trial.warnings
-    )
-    np.testing.assert_array_equal(trial.force.value, np.arange(200.0))
-    np.testing.assert_allclose(trial.force.t, np.arange(200) * 1e-3)
-    assert len(trial.tool_height) == 200
-    assert trial.displacement_height.t[-1] == pytest.approx(0.190)
-
-
-def test_a_sensor_by_a_clock_of_its_own_goes_on(maker, foreign: Foreign) -> None:
-    samples = []
-    for k in range(400):
-        publish = START_NS + (k - 100 if k >= 200 else k) * MS
-        samples.append(maker.wrench(k, -float(k), publish_ns=publish))
-        samples.append(maker.number(TOOL_HEIGHT, k, 0.0))
-    trial = read_trial(foreign(samples))
-    assert not any('set back' in w for w in trial.warnings)
-    assert len(trial.force) == 400
-
-
-def test_parts_of_a_recording_in_another_order_are_sorted(maker, foreign: Foreign) -> None:
-    samples = maker.trial(400)
-    trial = read_trial(foreign(samples[300:] + samples[:300]))
-    assert not any('set back' in w for w in trial.warnings)
-    np.testing.assert_array_equal(trial.force.value, np.arange(400.0))
-
-
 def test_of_repeated_stamps_the_first_is_kept(maker, foreign: Foreign) -> None:
     samples = maker.trial()
     for ms in (1, 60):

@@ -22,8 +22,8 @@ import socket
 import subprocess
 import sys
 
+from hapticvision_ros.cli.faults import LEFT_OUT
 from hapticvision_ros.cli.main import main
-from hapticvision_ros.sim.settable_clock import NO_COMPILER
 import pytest
 
 HAPTICVISION = str(Path(sys.executable).with_name('hapticvision'))
@@ -68,6 +68,14 @@ def test_the_table_is_shown_without_running_it(capsys):
     assert len(lines) == 7
 
 
+def test_without_a_compiler_no_clock_is_set(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv('PATH', str(tmp_path))
+    out = tmp_path / 'out'
+    assert main(['faults', '--out', str(out), '--only', 'clock set']) != 0
+    assert 'there is no C compiler' in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_few_faults_on_a_live_cell(domain, tmp_path):
     done = subprocess.run(
         [
@@ -89,7 +97,7 @@ def test_a_few_faults_on_a_live_cell(domain, tmp_path):
     (folder,) = tmp_path.iterdir()
     rows = json.loads((folder / 'faults.json').read_text())
     lines = [f'{row[0]} in {row[1]}' for row in rows]
-    if NO_COMPILER in done.stdout:
+    if LEFT_OUT in done.stdout:
         assert not any(map(shutil.which, ('cc', 'gcc', 'clang')))
         lines.append(CLOCK)
     assert sorted(lines) == sorted(CELLS)

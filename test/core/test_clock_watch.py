@@ -13,9 +13,6 @@
 # limitations under the License.
 """The watch over the machine's clock."""
 
-from types import SimpleNamespace
-
-from hapticvision_ros.core import clock_watch
 from hapticvision_ros.core.clock_watch import ClockWatch
 import pytest
 
@@ -28,25 +25,25 @@ class Clocks:
     def __init__(self) -> None:
         self.since_start, self.set_by, self.look = 5 * 10**12, 0, 1000
 
-    def monotonic_ns(self) -> int:
+    def monotonic(self) -> int:
         self.since_start += self.look
         return self.since_start
 
-    def time_ns(self) -> int:
+    def day(self) -> int:
         return self.since_start + 17 * 10**17 + self.set_by
+
+    def watch(self) -> ClockWatch:
+        return ClockWatch(self.day, self.monotonic)
 
 
 @pytest.fixture
-def clocks(monkeypatch) -> Clocks:
-    clocks = Clocks()
-    both = SimpleNamespace(monotonic_ns=clocks.monotonic_ns, time_ns=clocks.time_ns)
-    monkeypatch.setattr(clock_watch, 'time', both)
-    return clocks
+def clocks() -> Clocks:
+    return Clocks()
 
 
 @pytest.mark.parametrize('set_by', [3600 * 10**9, -(10**9), 11 * MS, -11 * MS])
 def test_a_clock_that_was_set_is_told_once(clocks, set_by):
-    watch = ClockWatch()
+    watch = clocks.watch()
     steps = [watch.step(), watch.step()]
     clocks.set_by = set_by
     steps += [watch.step(), watch.step()]
@@ -54,14 +51,14 @@ def test_a_clock_that_was_set_is_told_once(clocks, set_by):
 
 
 def test_a_clock_that_follows_its_source_slowly_was_not_set(clocks):
-    watch = ClockWatch()
+    watch = clocks.watch()
     for _ in range(100):
         clocks.set_by += 5 * MS
         assert watch.step() == 0.0
 
 
 def test_who_is_held_up_between_the_two_clocks_looks_again(clocks):
-    watch = ClockWatch()
+    watch = clocks.watch()
     watch.step()
     clocks.set_by, clocks.look = 10**9, 50 * MS
     assert watch.step() == 0.0
@@ -70,7 +67,7 @@ def test_who_is_held_up_between_the_two_clocks_looks_again(clocks):
 
 
 def test_what_was_before_is_forgotten(clocks):
-    watch = ClockWatch()
+    watch = clocks.watch()
     watch.step()
     clocks.set_by = 10**9
     watch.forget()

@@ -453,6 +453,7 @@ def test_a_record_that_starts_in_the_push_is_in_contact_from_its_start() -> None
     found = segment(trial.force, trial.height)
     assert found.t_contact == 4.5
     assert any('start of the record' in warning for warning in found.warnings)
+    assert not found.push_is_cut
     # The force after the loss of contact still tells the load cell's zero.
     assert found.force_zero == pytest.approx(0.0, abs=0.4 * trial.sigma)
 
@@ -463,6 +464,7 @@ def test_a_record_that_starts_in_the_hold_has_no_push() -> None:
     assert found.t_contact == found.t_hold == 20.0
     assert found.t_release is found.depth is found.push_speed is None
     assert any('the push is not in it' in warning for warning in found.warnings)
+    assert found.push_is_cut
     assert any('taken as 0 N' in warning for warning in found.warnings)
 
 

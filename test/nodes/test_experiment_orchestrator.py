@@ -49,6 +49,7 @@ from hapticvision_ros.bag.contract import (
 )
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.autonomy import Budget, Findings, Push
+from hapticvision_ros.core.clock_watch import ClockWatch
 from hapticvision_ros.core.experiment import (
     Deadlines,
     Experiment,
@@ -423,6 +424,32 @@ def test_a_push_in_which_the_machines_clock_was_set_is_lost(node, monkeypatch, s
         (outcome,) = experiment.outcomes
         assert outcome.outcome is Outcome.ABORTED
         assert f'was set by {step:+.3g} s' in outcome.reason
+
+
+def test_a_clock_that_was_set_before_the_recording_is_no_matter(node, monkeypatch):
+    """What is set from the first message in the bag on is, until the push begins too."""
+    monkeypatch.setattr(node, '_goal_id', lambda: 'a goal')
+    monkeypatch.setattr(
+        'hapticvision_ros.nodes.experiment_orchestrator.Recording', lambda *args: None
+    )
+    set_by = 0
+    watch = ClockWatch(lambda: time.monotonic_ns() + set_by, time.monotonic_ns)
+    monkeypatch.setattr(node, '_clock_watch', watch)
+    watch.step()
+    set_by = 10**10
+    node._enter(came_to(Step.RECORD), 0.0)
+    monkeypatch.setattr(node, '_recording', None)
+    experiment = came_to(Step.PUSH)
+    node._watch_clock(experiment, 0.0)
+    assert experiment.step is Step.PUSH
+    set_by += 10**10
+    node._watch_clock(experiment, 0.0)
+    assert experiment.step is not Step.PUSH
+    node._enter(came_to(Step.RECORD), 0.0)
+    set_by += 10**10
+    experiment = came_to(Step.PUSH)
+    node._watch_clock(experiment, 0.0)
+    assert experiment.step is not Step.PUSH
 
 
 def test_a_push_in_which_the_range_sensor_fell_silent_is_incomplete(node, monkeypatch, tmp_path):

@@ -18,7 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.fit.campaign import fit
+from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import (
@@ -254,3 +257,25 @@ def test_a_drawn_campaign_with_scatter_repeats_its_pushes() -> None:
     campaign = random_campaign(3, trials=6, scatter=0.02)
     assert len(campaign.pushes) == 6
     assert all(campaign.pushes.count(push) >= 2 for push in campaign.pushes)
+
+
+@pytest.mark.parametrize('seen', [True, False])
+def test_a_record_that_begins_at_any_moment_is_fitted_or_refused_with_the_reason(seen):
+    made = run(CAMPAIGN, seed=1)
+    whole, touch, loss = made.trials[0], made.truth.touches[0], made.truth.losses[0]
+    refused = 0
+    for begin in np.linspace(touch - 0.2, loss + 0.2, 21):
+        late = replace(
+            whole,
+            force=whole.force.between(begin, np.inf),
+            tool_height=whole.tool_height.between(begin, np.inf),
+            displacement_height=(
+                whole.displacement_height.between(begin, np.inf) if seen else None
+            ),
+        )
+        try:
+            fit([analyse(late)], Model())
+        except UsageError as error:
+            assert late.name in str(error) and 'no model is fitted' in str(error)
+            refused += 1
+    assert 10 <= refused <= 20

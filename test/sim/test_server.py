@@ -26,7 +26,7 @@ import time
 
 from hapticvision_ros.core.devices import Arm, ArmState
 from hapticvision_ros.core.errors import DeviceError
-from hapticvision_ros.sim.config import default_config_path, WorldConfig
+from hapticvision_ros.sim.config import default_config_path, load_config, WorldConfig
 from hapticvision_ros.sim.devices import (
     connect_arm,
     connect_load_cell,
@@ -34,6 +34,8 @@ from hapticvision_ros.sim.devices import (
     place_new_sample,
 )
 from hapticvision_ros.sim.protocol import decode, encode
+from hapticvision_ros.sim.server import WorldServer
+from hapticvision_ros.sim.world import World
 import numpy as np
 import pytest
 import yaml
@@ -122,6 +124,26 @@ def test_arm_moves_as_commanded_and_stops_when_left_alone(
     assert heights[-1] < moving.tool_height - 0.5 * 0.02 * config.arm.watchdog
     # At rest the encoder's noise of 1 um is all that is left.
     assert np.ptp(heights[-20:]) < 1e-5
+
+
+def test_the_stamps_go_with_a_clock_that_is_set(monkeypatch) -> None:
+    class Stamps(WorldServer):
+        def _stream(self, readings, start_ns):
+            stamps.append(start_ns)
+
+    class SetOnce:
+        def step(self) -> float:
+            return 100.0 if len(stamps) == 3 else 0.0
+
+    stamps: list[int] = []
+    config = load_config(None)
+    server = Stamps(World(config, config.material('soft_dough'), seed=1), config, 0)
+    monkeypatch.setattr('hapticvision_ros.sim.server.ClockWatch', lambda *clocks: SetOnce())
+    try:
+        server.serve(lambda: len(stamps) == 6)
+    finally:
+        server.close()
+    assert [stamp - stamps[0] for stamp in stamps] == [0] * 3 + [100 * 10**9] * 3
 
 
 def test_push_is_felt_seen_and_forgotten_with_a_new_sample(

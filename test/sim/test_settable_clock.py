@@ -21,12 +21,11 @@ import sys
 import time
 
 from hapticvision_ros.core.errors import HapticVisionError
-from hapticvision_ros.sim import settable_clock
 from hapticvision_ros.sim.settable_clock import clock_environment, set_clock, VARIABLE
 import pytest
 
 NEEDS_COMPILER = pytest.mark.skipif(
-    not any(map(shutil.which, ('cc', 'gcc', 'clang'))), reason=settable_clock.NO_COMPILER
+    not any(map(shutil.which, ('cc', 'gcc', 'clang'))), reason='there is no C compiler'
 )
 # A wait until a time of day by the C library itself, as the middleware has it.
 TOLD = """
@@ -35,21 +34,36 @@ libc = ctypes.CDLL(None)
 mutex, condition = ctypes.create_string_buffer(64), ctypes.create_string_buffer(64)
 end = (ctypes.c_long * 2)(int(time.time()) + 2, 0)
 libc.pthread_mutex_lock(mutex)
+def days():
+    day = (ctypes.c_long * 2)()
+    libc.gettimeofday(day, None)
+    assert abs(day[0] - time.time()) < 1.5 and abs(libc.time(None) - time.time()) < 1.5
 print(time.time(), time.monotonic(), flush=True)
+days()
 sys.stdin.readline()
+days()
 print(time.time(), time.monotonic(), flush=True)
 woken = 0
 while libc.pthread_cond_timedwait(condition, mutex, end) == 0:
     woken += 1
+if libc.pthread_cond_timedwait(condition, mutex, end) == 0:
+    sys.exit('the wait is not over')
+semaphore = ctypes.create_string_buffer(64)
+libc.sem_init(semaphore, 0, 0)
+for wait in (libc.sem_timedwait, libc.pthread_mutex_timedlock):
+    began = time.monotonic()
+    soon = time.time() + 0.3
+    until = (ctypes.c_long * 2)(int(soon), int(soon % 1.0 * 1e9))
+    assert wait(semaphore if wait is libc.sem_timedwait else mutex, until) != 0
+    assert 0.25 < time.monotonic() - began < 20.0
 print(time.time(), time.monotonic(), flush=True)
 """
 
 
 @NEEDS_COMPILER
-@pytest.mark.parametrize(('by', 'least', 'most'), [(3600.0, 0.0, 0.9), (-1.5, 1.6, 30.0)])
+@pytest.mark.parametrize(('by', 'least', 'most'), [(3600.0, 0.0, 0.9), (-1.5, 2.1, 30.0)])
 def test_processes_see_the_clock_that_was_set(tmp_path, monkeypatch, by, least, most):
     environment = clock_environment(tmp_path / 'clock')
-    assert environment is not None
     monkeypatch.setenv(VARIABLE, environment[VARIABLE])
     process = subprocess.Popen(
         [sys.executable, '-c', TOLD],
@@ -73,14 +87,35 @@ def test_processes_see_the_clock_that_was_set(tmp_path, monkeypatch, by, least, 
 
 
 def test_without_a_compiler_no_clock_is_set(tmp_path, monkeypatch):
-    monkeypatch.setattr(settable_clock.shutil, 'which', lambda name: None)
-    assert clock_environment(tmp_path) is None
+    monkeypatch.setenv('PATH', str(tmp_path))
+    with pytest.raises(HapticVisionError, match='there is no C compiler'):
+        clock_environment(tmp_path / 'clock')
+    assert not (tmp_path / 'clock').exists()
+
+
+def compiler(folder: Path, name: str, script: str) -> None:
+    """Put a program of this name into a folder."""
+    program = folder / name
+    program.write_text(f'#!/bin/sh\n{script}\n')
+    program.chmod(0o755)
 
 
 def test_a_compiler_that_fails_is_told(tmp_path, monkeypatch):
-    compiler = tmp_path / 'cc'
-    compiler.write_text('#!/bin/sh\necho "no headers here" >&2\nexit 1\n')
-    compiler.chmod(0o755)
-    monkeypatch.setenv('PATH', str(tmp_path), prepend=os.pathsep)
+    compiler(tmp_path, 'cc', 'echo "no headers here" >&2; exit 1')
+    monkeypatch.setenv('PATH', str(tmp_path))
     with pytest.raises(HapticVisionError, match='no headers here'):
-        clock_environment(Path(tmp_path, 'clock'))
+        clock_environment(tmp_path / 'clock')
+
+
+def test_a_library_that_is_not_loaded_is_told(tmp_path, monkeypatch):
+    compiler(tmp_path, 'cc', 'exit 0')
+    monkeypatch.setenv('PATH', str(tmp_path))
+    with pytest.raises(HapticVisionError, match='is not loaded'):
+        clock_environment(tmp_path / 'clock')
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize('name', ['a folder', 'a:folder'])
+def test_a_folder_that_no_library_is_loaded_from_is_told(tmp_path, name):
+    with pytest.raises(HapticVisionError, match='a space or a colon'):
+        clock_environment(tmp_path / name)

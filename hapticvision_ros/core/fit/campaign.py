@@ -1370,6 +1370,8 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
     moved = False
     for index, trial in enumerate(problem.trials):
         chosen = _near_touch(trial)
+        if not chosen.stop:
+            continue
         head = trial.head(chosen.stop)
         place = problem.places[index].start
         old = float(state[place])
@@ -1393,9 +1395,10 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
 
 def _near_touch(trial: FitTrial) -> slice:
     """Return the steps of the push in which the touch may be."""
-    near = np.abs(trial.displacement) <= 2.0 * _ONSET_REACH * trial.onset_std
-    first, last = np.flatnonzero(near)[[0, -1]]
-    return slice(int(first), min(int(last), int(np.argmax(trial.displacement))))
+    near = np.flatnonzero(np.abs(trial.displacement) <= 2.0 * _ONSET_REACH * trial.onset_std)
+    last = min(int(near[-1]), int(np.argmax(trial.displacement))) if near.size else 0
+    # A record that begins in contact, or after it, has none.
+    return slice(int(near[0]), last) if near.size and near[0] < last else slice(0, 0)
 
 
 def _squares(
@@ -1411,6 +1414,8 @@ def _find_onset(problem: Problem, state: FloatArray, index: int, *, finely: bool
     """Set the onset of one trial to where its first force is followed best."""
     trial, place = problem.trials[index], problem.places[index].start
     reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(trial)
+    if not chosen.stop:
+        return
     head = trial.head(chosen.stop)
     zooms = _ONSET_ZOOMS
     if finely:

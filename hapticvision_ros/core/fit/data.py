@@ -39,6 +39,10 @@ from numpy.typing import NDArray
 
 _FEWEST: Final = 16
 """A trial with fewer force samples is not fitted."""
+_FIRST: Final = 3
+"""Heights at the beginning of a record whose median tells whether the object is pressed in."""
+_PRESSED: Final = 0.2
+"""Share of the largest displacement height from which on it is."""
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
@@ -539,6 +543,9 @@ def _prepare(
     tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
     if np.count_nonzero(force.t > touch) < _FEWEST or np.count_nonzero(tool.t > touch) < 4:
         return 'there are too few samples in contact'
+    height = trial.displacement_height if trial.displacement_source != 'tool' else None
+    if phases.push_is_cut or (touch <= force.t[1] and _is_pressed(height)):
+        return 'the record begins in contact, after a part of the push or all of it'
     displacement = Signal(tool.t, original - tool.value)
     if displacement.value.max() <= 0.0:
         return 'the tool does not go on after the touch'
@@ -552,14 +559,13 @@ def _prepare(
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
     edges = samples.edges
     baseline = int(np.searchsorted(force.t, touch))
-    record = trial.displacement_height if trial.displacement_source != 'tool' else None
     height_interval = 1.0
-    height_t = height = np.empty(0)
-    if record is not None:
-        record = record.between(edges[0], edges[-1])
+    height_t = heights = np.empty(0)
+    if height is not None:
+        record = height.between(edges[0], edges[-1])
         if len(record) >= 2:
             good = ~suspects(record.value)
-            height_t, height = record.t[good], record.value[good]
+            height_t, heights = record.t[good], record.value[good]
             height_interval = float(np.median(np.diff(record.t)))
     raw = FitTrial(
         name=trial.name,
@@ -568,8 +574,8 @@ def _prepare(
         force=samples.force,
         force_count=np.ones(samples.force.size),
         height_t=height_t,
-        height=height,
-        height_count=np.ones(height.size),
+        height=heights,
+        height_count=np.ones(heights.size),
         campaign_time=campaign_time,
         reference_depth=float(path.displacement.max()),
         zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
@@ -590,6 +596,13 @@ def _prepare(
         events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
+
+
+def _is_pressed(height: Signal | None) -> bool:
+    """Return whether an object is pressed in when its record begins."""
+    if height is None or len(height) < 2 * _FIRST:
+        return False
+    return float(np.median(height.value[:_FIRST])) > _PRESSED * float(height.value.max())
 
 
 def _with_gaps(

@@ -185,6 +185,7 @@ def segment(
         warnings=tuple(warnings),
         force_zero_std=zero_std,
         contact_height_std=contact.travel_std,
+        push_is_cut=_NO_PUSH in warnings,
     )
 
 

@@ -155,6 +155,29 @@ def test_what_cannot_be_fitted_is_named_with_the_reason() -> None:
     assert 'does not go on' in warnings[1]
 
 
+@pytest.mark.parametrize('share', [0.0, 0.1, 0.3, 1.0])
+def test_a_record_that_begins_in_the_push_is_not_fitted(share: float) -> None:
+    """The displacement height tells; without one it may as well begin at the touch."""
+    trial = _trial()
+    start = float(trial.force.t[0])
+    height = Signal(trial.tool_height.t, np.full(len(trial.tool_height), 0.006))
+    height.value[:10] *= share
+    begun = replace(PHASES, t_contact=start)
+    seen = replace(trial, displacement_height=height, displacement_source='topic')
+    told = replace(seen, displacement_source='tool')
+    made, warnings = prepare([(seen, begun), (told, begun), (seen, PHASES)])
+    assert (made[0] is None) == (share > 0.2)
+    assert None not in made[1:]
+    assert len(warnings) == (share > 0.2)
+    assert all('begins in contact' in warning for warning in warnings)
+
+
+def test_a_record_that_begins_in_the_hold_is_not_fitted() -> None:
+    made, warnings = prepare([(_trial(), replace(PHASES, push_is_cut=True))])
+    assert made == (None,)
+    assert 'begins in contact' in warnings[0]
+
+
 def test_campaign_time_and_depth_are_those_of_the_campaign() -> None:
     """The second trial starts later; both know the deepest push."""
     trial = _trial()
