@@ -297,6 +297,8 @@ _NEXT: Final = {
     Step.PUSH: Step.FINISH,
     Step.STOP: Step.FINISH,
 }
+RUNNING: Final = 'is running: cancel it first.'
+"""How a goal is refused beside another one ends."""
 ARM_ABORTED: Final = 'the arm aborted the push'
 LEFT_LOW: Final = 'the tool may have been left low: see to it'
 _RECORDING: Final = (Step.RECORD, Step.START, Step.PUSH)

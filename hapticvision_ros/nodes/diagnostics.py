@@ -19,7 +19,7 @@ A node adds one check for each thing that can go wrong; once in a period, or whe
 it, all of its findings are sent together.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 import time
@@ -34,6 +34,9 @@ DIAGNOSTICS: Final = '/diagnostics'
 
 PERIOD: Final = 1.0
 """Time between two messages [s]; rqt_robot_monitor calls a status stale after five."""
+
+SILENCE: Final = 4.0 * PERIOD
+"""A node that has not told of itself for so long has died, or hangs [s]."""
 
 _DEPTH: Final = 10
 
@@ -124,6 +127,40 @@ class Diagnostics:
                 KeyValue(key=key, value=_text(value)) for key, value in finding.values.items()
             ],
         )
+
+
+class RollCall:
+    """
+    Which nodes of a cell have told of themselves on ``/diagnostics``, and are silent now.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who asks; what counts is the cell that it belongs to, by its namespace.
+    names : collection of str
+        The nodes' names.
+
+    """
+
+    def __init__(self, node: Any, names: Collection[str]) -> None:
+        namespace = node.get_namespace().strip('/')
+        self._names = {f'{namespace}/{name}'.removeprefix('/'): name for name in names}
+        self._heard: dict[str, float] = {}
+        node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS, self._on_array, QoSProfile(depth=_DEPTH)
+        )
+
+    def _on_array(self, message: Any) -> None:
+        for status in message.status:
+            name = self._names.get(status.name.partition(':')[0])
+            if name is not None:
+                self._heard[name] = time.monotonic()
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """Return the names of those that were heard once and are not heard any more, in order."""
+        now = time.monotonic()
+        return tuple(sorted(name for name, at in self._heard.items() if now - at > SILENCE))
 
 
 def worst(findings: Sequence[Finding], good: str) -> Finding:

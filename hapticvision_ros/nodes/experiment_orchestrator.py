@@ -22,6 +22,7 @@ it, ``/experiment/status`` tells its state, ``/experiment/feedback`` its progres
 `hapticvision_ros.core.experiment.Experiment`.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
 from functools import partial
@@ -72,6 +73,7 @@ from hapticvision_ros.core.experiment import (
     ExperimentGoal,
     GoalStatus,
     Outcome,
+    RUNNING,
     Step,
 )
 from hapticvision_ros.core.push_control import (
@@ -96,7 +98,7 @@ from hapticvision_ros.nodes.conversions import (
     status_to_message,
     values_from_status,
 )
-from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level
+from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Level, RollCall, SILENCE
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec, refuse_changes_while_pushing
 from hapticvision_ros.nodes.qos import (
@@ -271,6 +273,15 @@ PARAMETERS: Final = (
     ),
 )
 
+OTHERS: Final = (
+    ARM_NODE,
+    'load_cell_driver',
+    'range_sensor_driver',
+    'contact_point_planner',
+    'phase_segmenter',
+    'rheology_fitter',
+)
+"""The other nodes of a cell: which of them died in a trial is told with its outcome."""
 HEARTBEAT_PERIOD: Final = 0.1
 """Time between two heartbeats, on which the arm's controller relies [s]."""
 PATIENCE: Final = 2.0
@@ -421,6 +432,7 @@ class ExperimentOrchestrator(CellNode):
         self._last_heard: dict[str, float] = {}
         self._clock_watch = ClockWatch(time.time_ns, time.monotonic_ns)
         self._unseen = 0.0
+        self._silent: defaultdict[int, set[str]] = defaultdict(set)
         self._reported = 0.0
         self._status: GoalStatus | None = None
 
@@ -455,6 +467,7 @@ class ExperimentOrchestrator(CellNode):
         create_service(self, ENABLE_EXPERIMENT, self._on_enable)
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
+        self._roll_call = RollCall(self, OTHERS)
         diagnostics = Diagnostics(self)
         diagnostics.add('experiment', self._find_experiment)
         diagnostics.add('recording', self._find_recording)
@@ -510,7 +523,7 @@ class ExperimentOrchestrator(CellNode):
             if running:
                 response.message += ' The running one ends: a tool that may be low retracts first.'
         elif running:
-            response.message = f'goal {self._goal_id()} is running: cancel it first.'
+            response.message = f'goal {self._goal_id()} {RUNNING}'
         elif self._emergency:
             response.message = EMERGENCY
         else:
@@ -522,7 +535,7 @@ class ExperimentOrchestrator(CellNode):
         """Accept or refuse a goal."""
         response.success = False
         if self._experiment is not None and not self._experiment.status.terminal:
-            response.message = f'goal {self._goal_id()} is running: cancel it first.'
+            response.message = f'goal {self._goal_id()} {RUNNING}'
             return response
         if self._emergency:
             # Else the arm would move on its own as soon as the stop is released.
@@ -572,6 +585,7 @@ class ExperimentOrchestrator(CellNode):
         )
         self._carried_out = None
         self._decisions, self._kept = [], None
+        self._silent.clear()
         self._publish_status()
         self.get_logger().info(
             f'goal {self._goal_id()}: {len(goal.trials())} trials to {self._folder}'
@@ -771,6 +785,7 @@ class ExperimentOrchestrator(CellNode):
                 self._watch_disk(experiment, now)
             case Step.PUSH:
                 self._watch_disk(experiment, now)
+                self._watch_others(experiment)
                 if experiment.step is Step.PUSH:
                     self._watch_streams(experiment, now)
                 if experiment.step is Step.PUSH:
@@ -1040,6 +1055,16 @@ class ExperimentOrchestrator(CellNode):
                 )
                 return
 
+    def _watch_others(self, experiment: Experiment) -> None:
+        """Take note of nodes that have died, also those that have no part in a push."""
+        number = experiment.trial.number
+        for name in set(self._roll_call.silent) - self._silent[number]:
+            self._silent[number].add(name)
+            self.get_logger().warning(
+                f'{experiment.trial.name}: {name} has told nothing of itself for {SILENCE:g} s: '
+                'see whether it runs.'
+            )
+
     def _watch_clock(self, experiment: Experiment, now: float) -> None:
         """Take a trial for lost in which the machine's clock was set: its stamps do not agree."""
         step = self._clock_watch.step()
@@ -1081,7 +1106,9 @@ class ExperimentOrchestrator(CellNode):
         told = {} if report is None else values_from_status(report)
         if report is not None and experiment.failing:
             told['reason'] = report.message
-        recording.close({'outcome': outcome.value, 'missing': ', '.join(missing), **told}, suffix)
+        silent = ', '.join(sorted(self._silent[experiment.trial.number]))
+        values = {'outcome': outcome.value, 'missing': ', '.join(missing), 'silent': silent}
+        recording.close(values | told, suffix)
         if not recording.closed:
             experiment.waiting_for = f'{recording.path} to be closed'
             return
@@ -1186,6 +1213,9 @@ class ExperimentOrchestrator(CellNode):
             values[f'outcome {item.trial.number}'] = item.outcome.value + (
                 f': {item.reason}' if item.reason else ''
             )
+        for number, silent in self._silent.items():
+            if silent:
+                values[f'silent {number}'] = ', '.join(sorted(silent))
         said = f'all bags are in {self._folder}'
         decision = experiment.decision
         if decision is not None and decision.ending is not None:

@@ -51,6 +51,7 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.errors import HapticVisionError
+from hapticvision_ros.core.experiment import RUNNING
 from hapticvision_ros.core.faults import (
     ARM,
     CLOCK_STEPS,
@@ -170,6 +171,7 @@ class Campaign:
         self._results: list[Any] = []
         self._reports: list[Any] = []
         self._clients: dict[str, Any] = {}
+        self._asked = 0
         self.interrupted = False
         self.second_restarts = 0
         self._button = create_publisher(self._node, EMERGENCY_STOP)
@@ -237,7 +239,13 @@ class Campaign:
             set_clock(0.0)
 
     def _started(self) -> Any:
-        """Send a goal that may move the arm, and return the answer."""
+        """Send a goal that may move the arm, and return the answer, lost ones included."""
+        answer = self._start()
+        # Asked again, it refuses what it has begun already.
+        answer.success |= self._asked > 1 and answer.message.endswith(RUNNING)
+        return answer
+
+    def _start(self) -> Any:
         request = SetBool.Request(data=True)
         self._call(self._service(ENABLE_EXPERIMENT), request, ENABLE_EXPERIMENT.name)
         return self._call(
@@ -295,7 +303,7 @@ class Campaign:
             case 'parameters':
                 return self._mislead(fault.target)
             case 'again':
-                if self._started().success:
+                if self._start().success:
                     return 'a second goal was accepted'
         return ''
 
@@ -422,10 +430,12 @@ class Campaign:
     def _call(self, client: Any, request: Any, what: str) -> Any:
         end = time.monotonic() + ANSWER_DEADLINE
         again = time.monotonic() + DEAF_AFTER
+        self._asked = 0
         while time.monotonic() < end:
             if not self._until(client.service_is_ready, PATIENCE):
                 continue
             future = client.call_async(request)
+            self._asked += 1
             if self._until(future.done, PATIENCE):
                 return future.result()
             client.remove_pending_request(future)

@@ -14,13 +14,17 @@
 
 """What nodes say of themselves on ``/diagnostics``."""
 
-from diagnostic_msgs.msg import DiagnosticArray
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hapticvision_ros.nodes import diagnostics
 from hapticvision_ros.nodes.diagnostics import (
     DIAGNOSTICS,
     Diagnostics,
     Finding,
     Heard,
     Level,
+    RollCall,
     worst,
 )
 import pytest
@@ -91,6 +95,32 @@ def test_the_worst_finding_counts_and_all_that_is_wrong_is_said():
     assert together.values == {'rate_hz': 1000.0, 'saturated': 2, 'lost': 4}
     assert worst([good], 'All is well.').message == 'All is well.'
     assert worst([], 'All is well.').level is Level.OK
+
+
+def array_of(*names):
+    return DiagnosticArray(status=[DiagnosticStatus(name=name) for name in names])
+
+
+@pytest.mark.parametrize('namespace', ['', '/cell1'])
+def test_nodes_that_were_heard_and_are_silent_now_are_named(ros, monkeypatch, namespace):
+    monkeypatch.setattr(diagnostics, 'SILENCE', 0.05)
+    node = rclpy.create_node('caller', namespace=namespace)
+    try:
+        call = RollCall(node, ('fitter', 'planner', 'driver'))
+        own = f'{namespace}/'.removeprefix('/')
+        call._on_array(
+            array_of(f'{own}fitter: fit', f'{own}planner: plan', 'cell2/driver: device')
+        )
+        call._on_array(array_of(f'{own}stranger: it'))
+        assert call.silent == ()
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            call._on_array(array_of(f'{own}planner: plan'))
+        assert call.silent == ('fitter',)
+        call._on_array(array_of(f'{own}fitter: fit'))
+        assert call.silent == ()
+    finally:
+        node.destroy_node()
 
 
 @pytest.mark.parametrize(('ago', 'age'), [(5.0, 5.0), (0.0, 0.0), (-3600.0, 0.0)])

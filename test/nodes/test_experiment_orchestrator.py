@@ -426,6 +426,36 @@ def test_a_push_in_which_the_machines_clock_was_set_is_lost(node, monkeypatch, s
         assert f'was set by {step:+.3g} s' in outcome.reason
 
 
+def test_nodes_that_die_in_a_trial_are_told_with_its_outcome(node, monkeypatch, tmp_path):
+    experiment = came_to(Step.PUSH)
+    silent = []
+    monkeypatch.setattr(node, '_roll_call', SimpleNamespace(silent=silent))
+    node._watch_others(experiment)
+    silent.append('rheology_fitter')
+    node._watch_others(experiment)
+    silent.clear()
+    node._watch_others(experiment)
+    closed = {}
+    recording = SimpleNamespace(
+        closed=True,
+        error=None,
+        counts=Counter({topic.name: 5 for topic in (WRENCH, TOOL_HEIGHT, POINTS)}),
+        path=tmp_path,
+        close=lambda values, suffix: closed.update(values),
+    )
+    monkeypatch.setattr(node, '_recording', recording)
+    experiment.phase('done', 0.0)
+    node._finish(experiment, 0.0)
+    assert closed['silent'] == 'rheology_fitter' and closed['outcome'] == 'complete'
+    results = []
+    monkeypatch.setattr(node, '_goal_id', lambda: 'a goal')
+    monkeypatch.setattr(node, '_result_publisher', SimpleNamespace(publish=results.append))
+    while not experiment.status.terminal:
+        experiment.failed('that was all', 0.0)
+    node._publish_result(experiment)
+    assert values_from_status(results[0])['silent 1'] == 'rheology_fitter'
+
+
 def test_a_clock_that_was_set_before_the_recording_is_no_matter(node, monkeypatch):
     """What is set from the first message in the bag on is, until the push begins too."""
     monkeypatch.setattr(node, '_goal_id', lambda: 'a goal')
