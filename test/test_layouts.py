@@ -16,7 +16,8 @@
 """
 The layouts of RViz, PlotJuggler and Foxglove show topics that there are.
 
-None of the three programs is here: whether they draw what they should only they can tell.
+None of the three programs is here: whether they draw what they should only they can tell. What
+they do with a layout was read in their sources.
 """
 
 import json
@@ -58,7 +59,7 @@ def _topic_of(text: str, separator: str) -> tuple[Topic, list[str]]:
     """Return the topic that begins a path of PlotJuggler or Foxglove, and the rest."""
     (name,) = (item for item in CONTRACT if text.startswith(item + separator))
     fields = text.removeprefix(name + separator).split(separator)
-    return CONTRACT[name], [field for field in fields if not field.startswith('@')]
+    return CONTRACT[name], fields
 
 
 def _texts(item: Any) -> list[str]:
@@ -118,6 +119,32 @@ def test_plotjuggler_plots_numbers_of_the_contract() -> None:
             == len(splitter)
             == len(splitter.attrib['sizes'].split(';'))
         )
+
+
+def test_plotjuggler_subscribes_to_what_it_plots() -> None:
+    """Curves of what has sent nothing yet are kept only with a streamer and its topics."""
+    root = ElementTree.parse(FOLDER / 'plotjuggler.xml').getroot()
+    plotted = {_topic_of(curve.attrib['name'], '/')[0].name for curve in root.iter('curve')}
+    (plugin,) = root.iter('plugin')
+    assert root.find('previouslyLoaded_Streamer').attrib['name'] == plugin.attrib['ID']
+    assert set(plugin.find('selected_topics').attrib['value'].split(';')) == plotted
+    # PlotJuggler's own, from 5 to 999, where 999 has no end.
+    assert 5 <= int(root.find('streaming_buffer_size').attrib['value']) <= 999
+
+
+def test_rviz_is_told_which_docks_to_show() -> None:
+    """Where it is not told, it goes by what is in its memory."""
+    geometry = yaml.safe_load((FOLDER / 'cell.rviz').read_text())['Window Geometry']
+    assert geometry['Hide Left Dock'] is geometry['Hide Right Dock'] is False
+
+
+def test_foxglove_titles_have_the_keys_that_it_looks_for(foxglove: dict[str, Any]) -> None:
+    """Foxglove has its own key, and so has Lichtblick; neither reads `title`."""
+    for panel in foxglove['configById'].values():
+        assert 'title' not in panel
+        assert panel.get('foxglovePanelTitle') == panel.get('lichtblickPanelTitle')
+    plots = [key for key in foxglove['configById'] if key.startswith('Plot!')]
+    assert all('foxglovePanelTitle' in foxglove['configById'][key] for key in plots)
 
 
 def test_foxglove_names_values_of_the_contract(foxglove: dict[str, Any]) -> None:

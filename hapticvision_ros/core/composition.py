@@ -203,7 +203,9 @@ class Model:
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the parameters in SI units; shape (p,)."""
-        return np.where(self.log, np.exp(np.where(self.log, theta, 0.0)), theta)
+        # A search may go where nothing is finite: it turns back from there.
+        with np.errstate(over='ignore'):
+            return np.where(self.log, np.exp(np.where(self.log, theta, 0.0)), theta)
 
     def predict(
         self,

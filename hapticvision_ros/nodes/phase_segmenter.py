@@ -124,6 +124,8 @@ _REMEMBERED: Final = 20000
 """Samples that may be used before it is heard that a trial has begun."""
 _PATIENCE: Final = 25
 """A stream that is silent for so many periods is not waited for."""
+_AGAIN_NS: Final = 1_000_000_000
+"""A stream whose newest stamp goes back by more is one that is played again [ns]."""
 _BEGIN, _HEIGHT, _FORCE, _LAST = range(4)
 _FOUND_BY: Final = {
     'release': ('contact',),
@@ -132,6 +134,8 @@ _FOUND_BY: Final = {
 }
 """What has been found in the signals by the time that the arm is told so: later it is missed."""
 _NS_PER_S: Final = 1e9
+
+type _Sample = tuple[int, int, float]
 
 
 class PhaseSegmenter(CellNode):
@@ -153,8 +157,8 @@ class PhaseSegmenter(CellNode):
         self._start_ns: int | None = None
         self._newest_ns = 0
         self._begun_ns: int | None = None
-        self._waiting: list[tuple[int, int, float]] = []
-        self._used: deque[tuple[int, int, float]] = deque(maxlen=_REMEMBERED)
+        self._waiting: list[_Sample] = []
+        self._used: deque[_Sample] = deque(maxlen=_REMEMBERED)
         self._newest: dict[int, int] = {}
         self._alone = 0
         self._told: str | None = None
@@ -204,17 +208,27 @@ class PhaseSegmenter(CellNode):
         begins = self._times([sent for sent, begins in phases if begins])
         stamps = self._times([sent for sent, _ in heights])
         self._message_clock.forget(_TICKS)
-        self._waiting += forces
-        self._waiting += [
-            (stamp, _HEIGHT, value)
-            for stamp, (_, value) in zip(stamps, heights[: len(stamps)], strict=True)
-        ]
-        self._waiting += [(stamp, _BEGIN, 0.0) for stamp in begins]
-        if forces:
-            self._newest[_FORCE] = max(stamp for stamp, _, _ in forces)
-        if stamps:
-            self._newest[_HEIGHT] = max(stamps)
-        self._alone = 0 if forces and stamps else self._alone + 1
+        self._take(
+            forces,
+            [
+                (stamp, _HEIGHT, value)
+                for stamp, (_, value) in zip(stamps, heights[: len(stamps)], strict=True)
+            ],
+            [(stamp, _BEGIN, 0.0) for stamp in begins],
+        )
+
+    def _take(self, forces: list[_Sample], heights: list[_Sample], begins: list[_Sample]) -> None:
+        """Let samples wait until all of their time have come."""
+        self._waiting += forces + heights + begins
+        for kind, samples in ((_FORCE, forces), (_HEIGHT, heights)):
+            if not samples:
+                continue
+            newest = max(stamp for stamp, _, _ in samples)
+            if self._newest.get(kind, newest) - newest > _AGAIN_NS:
+                # Played again: how far the other stream had come is of no use any more.
+                self._newest.clear()
+            self._newest[kind] = newest
+        self._alone = 0 if forces and heights else self._alone + 1
         self._use()
 
     def _times(self, sent: list[int]) -> list[int]:
@@ -226,8 +240,10 @@ class PhaseSegmenter(CellNode):
         """Use all up to where both streams have come, or all if one of them has stopped."""
         self._waiting.sort()
         first = len(self._waiting)
-        if self._alone < _PATIENCE and len(self._newest) == len((_FORCE, _HEIGHT)):
-            first = bisect_right(self._waiting, (min(self._newest.values()), _LAST, 0.0))
+        if self._alone < _PATIENCE:
+            first = 0
+            if len(self._newest) == len((_FORCE, _HEIGHT)):
+                first = bisect_right(self._waiting, (min(self._newest.values()), _LAST, 0.0))
         ready = self._waiting[:first]
         del self._waiting[:first]
         for sample in ready:
@@ -236,7 +252,7 @@ class PhaseSegmenter(CellNode):
                 self._add(stamp, kind == _FORCE, value)
                 self._used.append((stamp, kind, value))
 
-    def _of_trial(self, begun_ns: int) -> list[tuple[int, int, float]]:
+    def _of_trial(self, begun_ns: int) -> list[_Sample]:
         """
         Begin a trial, and return what is of it of the samples that have been used.
 

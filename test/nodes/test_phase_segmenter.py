@@ -89,6 +89,25 @@ def test_a_trial_that_is_played_again_is_another_one(segmenter, told):
     assert told == [*once, *once]
 
 
+@pytest.mark.parametrize('first', [FORCE, HEIGHT])
+def test_a_stream_that_comes_later_than_the_other_is_waited_for(segmenter, told, first):
+    """At the beginning of a record, and where one that begins sooner was played before it."""
+    start_ns, trial = samples()
+    begin = [(start_ns, BEGIN, 0.0)]
+    streams = {kind: [one for one in trial if one[1] == kind] for kind in (FORCE, HEIGHT)}
+    for _ in range(2):
+        told.clear()
+        for kind in (first, *({FORCE, HEIGHT} - {first})):
+            for part in (streams[kind][:50], streams[kind][50:]):
+                segmenter._take(*(part if kind == each else [] for each in (FORCE, HEIGHT)), begin)
+                begin = []
+        begin = [(start_ns, BEGIN, 0.0)]
+        segmenter._take([], [], [])
+        events = dict(told)
+        assert events['contact'] == pytest.approx(2.61, abs=0.01)
+        assert events['hold'] == pytest.approx(4.205, abs=0.01)
+
+
 def test_what_the_signals_have_shown_is_told(segmenter):
     assert segmenter._find_phase().message == 'No sample of a trial has come yet.'
     start_ns, trial = samples()

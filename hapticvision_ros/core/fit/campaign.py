@@ -39,7 +39,7 @@ from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST, runs
+from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
 from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution
 from hapticvision_ros.core.fit.noise_model import (
@@ -54,6 +54,7 @@ from hapticvision_ros.core.fit.noise_model import (
 )
 from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.outliers import runs
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray

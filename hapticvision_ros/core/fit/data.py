@@ -33,6 +33,7 @@ from typing import Final
 from hapticvision_ros.core.fit.glitches import find_glitches, NORMAL_FROM_MAD
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
+from hapticvision_ros.core.outliers import absurd, median_of_five, runs
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -547,14 +548,15 @@ def _prepare(
     if phases.push_is_cut or (touch <= force.t[1] and _is_pressed(height)):
         return 'the record begins in contact, after a part of the push or all of it'
     displacement = Signal(tool.t, original - tool.value)
-    if displacement.value.max() <= 0.0:
+    deepest = int(np.argmax(displacement.value))
+    if displacement.value[deepest] <= 0.0 or tool.t[deepest] <= touch:
         return 'the tool does not go on after the touch'
     path = tool_path(displacement, phases)
     interval = float(np.median(np.diff(force.t)))
     middle = 0.5 * (force.t[1:] + force.t[:-1])
     edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
     eventful = near_events(force.t, phases, interval)
-    bad = suspects(force.value) & ~eventful
+    bad = (suspects(force.value) & ~eventful) | absurd(force.value)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
     edges = samples.edges
@@ -764,12 +766,6 @@ def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray
             last = np.searchsorted(t, event + reach, side='right')
             near[first:last] = True
     return near
-
-
-def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and one past last of each run of chosen samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], chosen, [False]))))
-    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
 def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> float:
@@ -1039,7 +1035,7 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     reach = _BURST + 5
     if noise <= 0.0 or t.size < 4 * reach:
         return late
-    middle_t, middle = t[2:-2], _median_of_five(value)
+    middle_t, middle = t[2:-2], median_of_five(value)
     inner = np.arange(reach, t.size - reach)
     before, after = inner - reach, inner + reach - 4
     share = (t[inner] - middle_t[before]) / (middle_t[after] - middle_t[before])
@@ -1107,15 +1103,6 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
         if min(off, default=0.0) > _UNSEEN * deepest:
             return float(t[last]), float(t[last + 1])
     return None
-
-
-def _median_of_five(value: FloatArray) -> FloatArray:
-    """Return the running median of five values, by comparisons of whole records."""
-    length = value.size - 4
-    a, b, c, d, e = np.lib.stride_tricks.sliding_window_view(value, length)
-    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
-    return np.asarray(np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e)))
 
 
 def _encoder_noise(value: FloatArray) -> float:

@@ -20,6 +20,10 @@ from hapticvision_ros.core.fit.exponential import MIN_SAMPLES
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 
+_LAST = 1.0
+"""The height at the end of a hold is that of its last second [s], or of its last samples."""
+_LAST_SAMPLES = 4
+
 
 def start_of_recovery(
     trial: Trial, segmentation: Segmentation, released: float
@@ -62,20 +66,26 @@ def pressed_in(trial: Trial, segmentation: Segmentation, released: float) -> tup
     From the tool it has the error of the contact height, which no number of samples of the hold
     makes smaller.
     """
-    since = max(released - 1.0, segmentation.t_hold or released - 1.0)
+    begun = -math.inf if segmentation.t_hold is None else segmentation.t_hold
     if segmentation.contact_height is not None:
-        record = trial.tool_height.between(since, released)
-        if len(record):
-            error = float(record.value.std()) / math.sqrt(len(record))
-            error = math.hypot(error, segmentation.contact_height_std)
-            return segmentation.contact_height - float(np.median(record.value)), error
-    height = trial.displacement_height
-    if height is not None:
-        record = height.between(since, released)
-        if len(record):
-            error = float(record.value.std()) / math.sqrt(len(record))
-            return float(np.median(record.value)), error
+        height, error = _before(trial.tool_height, begun, released)
+        error = math.hypot(error, segmentation.contact_height_std)
+        return segmentation.contact_height - height, error
+    if trial.displacement_height is not None:
+        return _before(trial.displacement_height, begun, released)
     return math.nan, math.inf
+
+
+def _before(signal: Signal, begun: float, released: float) -> tuple[float, float]:
+    """Return a height at the end of a hold and its standard error [m]."""
+    span = max(_LAST, _LAST_SAMPLES * sampling_interval(signal))
+    record = signal.between(max(released - span, begun), released)
+    if len(record):
+        return float(np.median(record.value)), float(record.value.std()) / math.sqrt(len(record))
+    # Not one in the hold: it may be anywhere between its neighbours.
+    after = int(np.searchsorted(signal.t, released))
+    around = signal.value[max(after - 1, 0) : after + 1]
+    return float(signal.at(np.array([released]))[0]), float(np.ptp(around))
 
 
 def withdrawal_speed(trial: Trial, released: float, lost: float) -> float:

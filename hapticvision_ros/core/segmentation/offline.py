@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import math
 
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.outliers import possible
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
 from hapticvision_ros.core.segmentation.contact import (
     fit_start,
@@ -216,8 +217,8 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
             'the force and the tool height do not overlap in time: check the clocks that '
             'stamped them'
         )
-    f = despike(force.value)
-    x = tool_height.value[0] - despike(tool_height.value)
+    f = despike(possible(force.value))
+    x = tool_height.value[0] - despike(possible(tool_height.value))
     inside = slice(*np.searchsorted(force.t, (start, stop + 1e-12)))
     f_noise, x_noise = noise_std(force.value), noise_std(tool_height.value)
     x_noise = max(x_noise, _coarseness(x))
