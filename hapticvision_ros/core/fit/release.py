@@ -84,7 +84,7 @@ def _before(signal: Signal, begun: float, released: float) -> tuple[float, float
         return float(np.median(record.value)), float(record.value.std()) / math.sqrt(len(record))
     # Not one in the hold: it may be anywhere between its neighbours.
     after = int(np.searchsorted(signal.t, released))
-    around = signal.value[max(after - 1, 0) : after + 1]
+    around = signal.value[slice(max(after - 1, 0), after + 1)]
     return float(signal.at(np.array([released]))[0]), float(np.ptp(around))
 
 
