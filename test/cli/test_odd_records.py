@@ -19,11 +19,14 @@ import json
 import warnings
 
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import (
     Campaign,
     ForceNoise,
     Push,
+    random_campaign,
     Run,
     run,
     Sensors,
@@ -187,3 +190,20 @@ def test_odd_records_give_a_result_or_a_reason(made, tmp_path, capsys, odd):
     assert (out / 'report.html').stat().st_size > 0
     if odd in HARMLESS:
         assert result['diagnosis']['status'] == 'none'
+
+
+def test_a_few_heights_are_not_explained_by_an_effect():
+    """Two in each trial: what fits them to the last digit is not what made them."""
+    whole = run(random_campaign(6, longest=12.0), seed=1).trials
+    few = [each(None, None, lambda s: Signal(s.t[::80], s.value[::80]))(trial) for trial in whole]
+    assert sum(len(trial.displacement_height) for trial in few) == 6
+    assert diagnose([analyse(trial) for trial in few]).status == 'none'
+
+
+@pytest.mark.parametrize('thinner', [10, 15, 25, 40])
+def test_forces_that_come_more_slowly_than_heights_are_no_effect(thinner):
+    """Down to 2.5 a second, with 16 heights: several of these in the step of one force."""
+    whole = run(random_campaign(6, longest=12.0), seed=1).trials
+    slow = [each(lambda s: Signal(s.t[::thinner], s.value[::thinner]))(trial) for trial in whole]
+    found = diagnose([analyse(trial) for trial in slow])
+    assert found.status == 'none', found.effects

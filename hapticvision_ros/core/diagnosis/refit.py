@@ -31,6 +31,7 @@ from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.fit.campaign import (
+    are_few,
     Blur,
     carried,
     Fit,
@@ -565,7 +566,8 @@ class Workbench:
         memory = self.memory
         interval = self.trials[0].interval
         force = follow(forces, force, interval, False, memory.force, memory.least_force)
-        if heights:
+        # A few have none of their own beside each model: it would vanish where one fits them.
+        if heights and not are_few(self.trials):
             interval = self.trials[0].height_interval
             height = follow(heights, height, interval, False, memory.height, memory.least_height)
         return force, height

@@ -127,6 +127,10 @@ _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
 _TURNS: Final = 5
 """Periods in a trial below which a line is none: anything smooth has such."""
+_FEWEST_HEIGHTS: Final = 20
+"""Displacement heights of a campaign below which they tell no noise: a fit leaves them none."""
+_USUAL: Final = 0.005
+"""Noise of the displacement height over the depth where it is not told."""
 _FAST: Final = frozenset({'periodic_disturbance'})
 """Effects that live within the steps that a trial is averaged over."""
 
@@ -1023,7 +1027,9 @@ def _weighted(
         force_noise = follow(
             forces, force_noise, trials[0].interval, first, limit.force, limit.least_force
         )
-        if heights:
+        if heights and are_few(trials):
+            height_noise = _of_few(heights, trials)
+        elif heights:
             interval = trials[0].height_interval
             height_noise = follow(
                 heights, height_noise, interval, first, limit.height, limit.least_height
@@ -1067,6 +1073,20 @@ def quietest(trials: Sequence[FitTrial]) -> tuple[float, float]:
     """Return the least noise of a sample of force [N] and of height [m]."""
     peak = max(float(np.abs(trial.force).max()) for trial in trials)
     return QUIETEST * peak, QUIETEST * trials[0].reference_depth
+
+
+def are_few(trials: Sequence[FitTrial]) -> bool:
+    """Return whether the displacement heights are too few to tell their noise."""
+    return sum(float(trial.height_count.sum()) for trial in trials) < _FEWEST_HEIGHTS
+
+
+def _of_few(records: Sequence[Record], trials: Sequence[FitTrial]) -> SensorNoise:
+    """Return the noise of heights that are too few to tell it: no less than is usual."""
+    count = sum(record.residual.size for record in records)
+    squares = sum(float(record.blocks.count @ record.residual**2) for record in records)
+    std = math.sqrt(squares / max(count - len(records) - 1, 1))
+    usual = _USUAL * trials[0].reference_depth
+    return SensorNoise(max(std, usual), 0.0, 20.0 * trials[0].height_interval)
 
 
 def follow(
@@ -1396,7 +1416,7 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
 
 def _near_touch(trial: FitTrial) -> slice:
     """Return the steps of the push in which the touch may be."""
-    near = np.flatnonzero(np.abs(trial.displacement) <= 2.0 * _ONSET_REACH * trial.onset_std)
+    near = np.flatnonzero(np.abs(trial.displacement) <= trial.touch_reach)
     last = min(int(near[-1]), int(np.argmax(trial.displacement))) if near.size else 0
     # A record that begins in contact, or after it, has none.
     return slice(int(near[0]), last) if near.size and near[0] < last else slice(0, 0)

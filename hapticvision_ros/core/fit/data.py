@@ -44,6 +44,13 @@ _FIRST: Final = 3
 """Heights at the beginning of a record whose median tells whether the object is pressed in."""
 _PRESSED: Final = 0.2
 """Share of the largest displacement height from which on it is."""
+_TOUCH_REACH: Final = 8.0
+"""The touch is at most so many errors of the detection from the detected one."""
+_COARSER: Final = 1.5
+"""Forces that come so much more slowly than heights have steps too coarse for these."""
+_LOOKS: Final = 0.125
+"""Parts of such steps at the touch, over the interval of the heights."""
+_MOST_LOOKS: Final = 256
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
@@ -344,9 +351,33 @@ class FitTrial:
         away = np.minimum(self.t[after] - t, t - self.t[np.maximum(after - 1, 0)])
         apart = np.diff(t, prepend=-np.inf)
         kept = np.minimum(away, apart) > _SHORTEST_PART * self.interval
-        if not kept.any():
+        t = np.unique(np.concatenate((t[kept], self._looked_at())))
+        if not t.size:
             return None
-        return Turns.of(self.t, self.displacement, t[kept], displacement[kept])
+        return Turns.of(self.t, self.displacement, t, self.path.at(t))
+
+    def _looked_at(self) -> FloatArray:
+        """
+        Return times within the steps at the touch, where heights come faster than forces.
+
+        The surface is a straight line within a step, but stays where it is until the touch.
+        """
+        if not self.height_t.size or self.interval <= _COARSER * self.height_interval:
+            return np.empty(0)
+        near = np.flatnonzero(np.abs(self.displacement) <= self.touch_reach)
+        if not near.size:
+            return np.empty(0)
+        begin, end = self.t[max(near[0] - 1, 0)], self.t[min(near[-1] + 1, self.t.size - 1)]
+        count = min(math.ceil((end - begin) / (_LOOKS * self.height_interval)), _MOST_LOOKS)
+        times = np.linspace(begin, end, count + 1)[1:-1]
+        after = np.searchsorted(self.t, times)
+        away = np.minimum(self.t[after] - times, times - self.t[after - 1])
+        return times[away > _SHORTEST_PART * _LOOKS * self.height_interval]
+
+    @property
+    def touch_reach(self) -> float:
+        """Return how far from the detected touch it may be [m]."""
+        return _TOUCH_REACH * self.onset_std
 
     @property
     def peak_force(self) -> float:
@@ -686,7 +717,9 @@ def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:
     height_t, height, height_count = trial.height_t, trial.height, trial.height_count
     if height_t.size and height_t.size > steps.size // 4:
         where = np.searchsorted(t, height_t, side='right')
-        first = np.flatnonzero(np.diff(where, prepend=-1))
+        # Within a step of one force the surface may do anything: heights that come faster stay.
+        alone = (np.diff(steps) == 1)[np.clip(where - 1, 0, count.size - 1)]
+        first = np.flatnonzero((np.diff(where, prepend=-1) != 0) | alone)
         weight = np.add.reduceat(height_count, first)
         height_t = np.add.reduceat(height_t * height_count, first) / weight
         height = np.add.reduceat(height * height_count, first) / weight
