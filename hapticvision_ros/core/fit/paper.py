@@ -370,6 +370,8 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation, noise: Estimate) -> 
     warnings = _set_aside(fit, 'displacement height')
     warnings += (caution,) if caution else ()
     pressed, pressed_std = pressed_in(trial, segmentation, released)
+    if not math.isfinite(pressed):
+        return _unknown_decay('no height of the tool was recorded right before the release', fit)
     drop, drop_std = fit.drop
     bounce = pressed - fit.mean
     if abs(drop) <= max(SIGNIFICANT * drop_std, NEGLIGIBLE * abs(bounce)):

@@ -69,8 +69,9 @@ def pressed_in(trial: Trial, segmentation: Segmentation, released: float) -> tup
     begun = -math.inf if segmentation.t_hold is None else segmentation.t_hold
     if segmentation.contact_height is not None:
         height, error = _before(trial.tool_height, begun, released)
-        error = math.hypot(error, segmentation.contact_height_std)
-        return segmentation.contact_height - height, error
+        if math.isfinite(height):
+            error = math.hypot(error, segmentation.contact_height_std)
+            return segmentation.contact_height - height, error
     if trial.displacement_height is not None:
         return _before(trial.displacement_height, begun, released)
     return math.nan, math.inf
@@ -80,12 +81,10 @@ def _before(signal: Signal, begun: float, released: float) -> tuple[float, float
     """Return a height at the end of a hold and its standard error [m]."""
     span = max(_LAST, _LAST_SAMPLES * sampling_interval(signal))
     record = signal.between(max(released - span, begun), released)
-    if len(record):
-        return float(np.median(record.value)), float(record.value.std()) / math.sqrt(len(record))
-    # Not one in the hold: it may be anywhere between its neighbours.
-    after = int(np.searchsorted(signal.t, released))
-    around = signal.value[slice(max(after - 1, 0), after + 1)]
-    return float(signal.at(np.array([released]))[0]), float(np.ptp(around))
+    if not len(record):
+        return math.nan, math.inf
+    error = float(record.value.std()) / math.sqrt(len(record))
+    return float(np.median(record.value)), error
 
 
 def withdrawal_speed(trial: Trial, released: float, lost: float) -> float:

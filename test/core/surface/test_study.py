@@ -55,7 +55,9 @@ def test_what_the_cell_adds_to_the_depth_is_not_pressed_into_the_body(
 
 
 def test_a_depth_that_was_not_recorded_is_unknown() -> None:
-    trial = Trial('push', 0, TOOL, TOOL, None, 'none')
+    often = np.array([t for t in np.arange(0.0, 10.0, 0.1) if not 3.5 < t < 5.5])
+    tool = Signal(often, TOOL.at(often))
+    trial = Trial('push', 0, tool, tool, None, 'none')
     depth = study._depth(trial, PHASES)
     assert (depth.value, depth.std) == (None, None)
     assert 'no height of the tool' in (depth.reason or '')
