@@ -207,3 +207,17 @@ def test_forces_that_come_more_slowly_than_heights_are_no_effect(thinner):
     slow = [each(lambda s: Signal(s.t[::thinner], s.value[::thinner]))(trial) for trial in whole]
     found = diagnose([analyse(trial) for trial in slow])
     assert found.status == 'none', found.effects
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_stamps_that_are_a_little_off_are_no_effect(seed):
+    """By a fifth of their interval, as of heights that are stamped when they are sent."""
+    random = np.random.default_rng(seed)
+
+    def off(signal: Signal) -> Signal:
+        interval = float(np.median(np.diff(signal.t)))
+        error = np.clip(0.2 * random.standard_normal(signal.t.size), -0.45, 0.45)
+        return Signal(signal.t + interval * error, signal.value)
+
+    found = diagnose([analyse(all_of(off)(trial)) for trial in run(CAMPAIGN, seed=seed).trials])
+    assert found.status == 'none', found.effects

@@ -851,7 +851,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     bad = suspects(value)
     if bad.any():
         t, value = t[~bad], value[~bad]
-    noise = _encoder_noise(value)
+    noise = _encoder_noise(t, value)
     late = _late(t, value, noise)
     if late.any():
         t, value = t[~late], value[~late]
@@ -1138,15 +1138,20 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
     return None
 
 
-def _encoder_noise(value: FloatArray) -> float:
+def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     """Return the standard deviation of an encoder's sample, steps of its reading included."""
     curvature = np.abs(np.diff(value, 2))
     noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
     steps = np.abs(np.diff(value))
-    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
-    fast = (steps[1:] > _MOVING * noise) & (steps[:-1] > _MOVING * noise)
-    if noise > 0.0 and np.count_nonzero(fast) >= _FEWEST:
-        noise = max(noise, NORMAL_FROM_MAD * float(np.median(curvature[fast])) / math.sqrt(6.0))
+    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides. What
+    # a sample is beside the line between its neighbours is alike where the tool is accelerated.
+    fast = steps > _MOVING * noise
+    fast = fast[2:] & fast[1:-1] & fast[:-2]
+    if np.count_nonzero(fast) >= _FEWEST:
+        share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+        beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+        change = np.abs(np.diff(beside))[fast]
+        noise = max(noise, NORMAL_FROM_MAD * float(np.median(change)) / math.sqrt(5.0))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
         resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size
