@@ -15,18 +15,22 @@
 
 from typing import Final
 
-from hapticvision_ros.core.records import FloatArray
+from hapticvision_ros.core.records import FloatArray, Signal
 import numpy as np
 from numpy.typing import NDArray
 
 FEWEST: Final = 16
 """In fewer samples nothing is usual."""
 RARE: Final = 5e-3
-"""Share of the samples at either end that do not count for the span of a record."""
+FEW: Final = 40.0
+"""Share of the samples, and at most so many, that do not count for the span at either end."""
 SPANS: Final = 3.0
 """What stands out by so many times the span of all others is no measurement."""
 LONGEST: Final = 8
-"""Samples in a burst of such."""
+LASTING: Final = 0.05
+"""Samples in a burst of such, and how long it may last [s]."""
+SHORTEST: Final = 2
+"""Samples in one, however long they last."""
 
 
 def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -44,38 +48,51 @@ def median_of_five(value: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e)))
 
 
-def absurd(value: FloatArray) -> NDArray[np.bool_]:
+def absurd(value: FloatArray, interval: float) -> NDArray[np.bool_]:
     """
-    Find samples that stand out by far more than the whole record spans.
+    Find samples that stand out by far more than the whole record spans, and come back at once.
 
     Parameters
     ----------
     value : ndarray, shape (n,)
         Samples in order of time.
+    interval : float
+        Time between two samples [s].
 
     Returns
     -------
     ndarray of bool, shape (n,)
-        Which samples. A jump, a peak or a pulse is none, wherever it is: the record would have to
-        span less than a third of it elsewhere. A burst is, while all such are rare.
+        Which samples: alone, or in short bursts. A jump, a peak or a pulse is none, wherever it
+        is: the record would have to span less than a third of it elsewhere.
 
     """
+    found = np.zeros(value.size, dtype=np.bool_)
     if value.size < FEWEST:
-        return np.zeros(value.size, dtype=np.bool_)
+        return found
     usual = np.pad(median_of_five(value), 2, mode='edge')
-    low, high = np.quantile(usual, [RARE, 1.0 - RARE])
-    most = SPANS * (high - low)
-    found = np.asarray((value > high + most) | (value < low - most))
-    for first, last in runs(found):
-        # A push that is short in a long record stands out as well, but not for a few samples.
-        found[first:last] = last - first <= LONGEST
-    return np.asarray(found | (np.abs(value - usual) > most))
+    rare = min(RARE, FEW / value.size)
+    low, high = np.quantile(usual, [rare, 1.0 - rare])
+    most = SPANS * float(high - low)
+    if most == 0.0:
+        # A sensor that tells only steps, at rest.
+        return found
+    far = (value > high + most) | (value < low - most) | (np.abs(value - usual) > most)
+    longest = max(SHORTEST, min(LONGEST, int(LASTING / max(interval, 1e-9))))
+    for first, last in runs(np.asarray(far)):
+        before, after = value[max(first - 1, 0)], value[min(last, value.size - 1)]
+        at_end = first == 0 or last == value.size
+        # Not so what jumps up and then goes on from there.
+        found[first:last] = last - first <= longest and (at_end or abs(after - before) <= most)
+    return found
 
 
-def possible(value: FloatArray) -> FloatArray:
-    """Return a record whose absurd samples are on a line between those around them."""
-    found = absurd(value)
-    if not found.any() or found.all():
+def possible(signal: Signal) -> FloatArray:
+    """Return a signal's values, absurd ones on a line between those around them."""
+    value = signal.value
+    if value.size < FEWEST:
+        return value
+    found = absurd(value, float(np.median(np.diff(signal.t))))
+    if not found.any():
         return value
     good, bad = np.flatnonzero(~found), np.flatnonzero(found)
     clean = value.copy()

@@ -156,6 +156,10 @@ class RollCall:
             if name is not None:
                 self._heard[name] = time.monotonic()
 
+    def begin(self) -> None:
+        """Forget who was heard: what has been stopped since is not missed."""
+        self._heard.clear()
+
     @property
     def silent(self) -> tuple[str, ...]:
         """Return the names of those that were heard once and are not heard any more, in order."""

@@ -586,6 +586,7 @@ class ExperimentOrchestrator(CellNode):
         self._carried_out = None
         self._decisions, self._kept = [], None
         self._silent.clear()
+        self._roll_call.begin()
         self._publish_status()
         self.get_logger().info(
             f'goal {self._goal_id()}: {len(goal.trials())} trials to {self._folder}'

@@ -159,10 +159,17 @@ ODD = {
     'drifts down': each(drifting(-2.0)),
     'spikes': each(spiky(1e3)),
     'spikes of the encoder': each(None, spiky(0.5)),
+    'spikes of the encoder down': each(None, spiky(-0.04)),
     'walks at random': each(wandering),
     'two pushes': all_of(twice),
 }
-HARMLESS = ('force with a large zero', 'ends in the hold', 'spikes', 'spikes of the encoder')
+HARMLESS = (
+    'force with a large zero',
+    'ends in the hold',
+    'spikes',
+    'spikes of the encoder',
+    'spikes of the encoder down',
+)
 """What is left of these, or all of it, is an object that the base model explains."""
 
 
@@ -197,7 +204,9 @@ def test_a_few_heights_are_not_explained_by_an_effect():
     whole = run(random_campaign(6, longest=12.0), seed=1).trials
     few = [each(None, None, lambda s: Signal(s.t[::80], s.value[::80]))(trial) for trial in whole]
     assert sum(len(trial.displacement_height) for trial in few) == 6
-    assert diagnose([analyse(trial) for trial in few]).status == 'none'
+    found = diagnose([analyse(trial) for trial in few])
+    assert found.status == 'none'
+    assert any('too few to tell their noise' in warning for warning in found.before.warnings)
 
 
 @pytest.mark.parametrize('thinner', [10, 15, 25, 40])
@@ -206,6 +215,22 @@ def test_forces_that_come_more_slowly_than_heights_are_no_effect(thinner):
     whole = run(random_campaign(6, longest=12.0), seed=1).trials
     slow = [each(lambda s: Signal(s.t[::thinner], s.value[::thinner]))(trial) for trial in whole]
     found = diagnose([analyse(trial) for trial in slow])
+    assert found.status == 'none', found.effects
+
+
+@pytest.mark.parametrize(
+    ('force_rate', 'height_rate', 'hold', 'noise'),
+    [(10.0, 60.0, 30.0, 5e-6), (5.0, 30.0, 60.0, 1e-5), (50.0, 500.0, 30.0, 3e-6)],
+)
+def test_a_slow_load_cell_beside_a_fast_range_sensor_is_no_effect(
+    force_rate, height_rate, hold, noise
+):
+    pushes = tuple(Push(v, d, hold, 2.0) for v, d in ((0.008, 0.006), (0.004, 0.004)))
+    sensors = Sensors(
+        ForceNoise(0.05), noise, force_rate=force_rate, tool_rate=250.0, height_rate=height_rate
+    )
+    made = run(Campaign(CAMPAIGN.body, pushes, sensors), seed=1)
+    found = diagnose([analyse(trial) for trial in made.trials])
     assert found.status == 'none', found.effects
 
 

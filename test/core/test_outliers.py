@@ -14,6 +14,7 @@
 """Samples that are no measurement."""
 
 from hapticvision_ros.core.outliers import absurd, FEWEST, median_of_five, possible
+from hapticvision_ros.core.records import Signal
 import numpy as np
 import pytest
 
@@ -27,6 +28,10 @@ def press(noise: float = 0.05) -> np.ndarray:
     return value + noise * np.random.default_rng(1).standard_normal(t.size)
 
 
+def timed(value: np.ndarray, interval: float = 1e-3) -> Signal:
+    return Signal(interval * np.arange(value.size), value)
+
+
 def test_the_median_of_five_is_that_of_numpy():
     value = np.random.default_rng(2).standard_normal(400)
     windows = np.lib.stride_tricks.sliding_window_view(value, 5)
@@ -36,12 +41,12 @@ def test_the_median_of_five_is_that_of_numpy():
 @pytest.mark.parametrize('noise', [0.0, 0.05, 1.0])
 def test_what_an_object_does_is_no_glitch(noise):
     value = press(noise)
-    assert not absurd(value).any()
-    assert possible(value) is value
+    assert not absurd(value, 1e-3).any()
+    assert possible(timed(value)) is value
     pulse = press(noise)
     # A blow: one sample, twice the span.
     pulse[401] += 22.0
-    assert not absurd(pulse).any()
+    assert not absurd(pulse, 1e-3).any()
 
 
 @pytest.mark.parametrize(
@@ -52,17 +57,30 @@ def test_what_no_object_does_is_found_wherever_it_is(at, size):
     value = press()
     clean = value.copy()
     value[list(at)] += size
-    assert np.flatnonzero(absurd(value)).tolist() == list(at)
-    assert np.abs(possible(value) - clean).max() < 8.0
+    assert np.flatnonzero(absurd(value, 1e-3)).tolist() == list(at)
+    assert np.abs(possible(timed(value)) - clean).max() < 8.0
 
 
 def test_in_a_few_samples_nothing_is_usual():
     value = np.zeros(FEWEST - 1)
     value[3] = 1e9
-    assert not absurd(value).any()
+    assert not absurd(value, 1e-3).any()
 
 
 def test_a_short_push_in_a_long_record_is_a_push():
     value = 0.05 * np.random.default_rng(3).standard_normal(20000)
     value[5000:5060] += 8.0
-    assert not absurd(value).any()
+    assert not absurd(value, 1e-3).any()
+
+
+def test_a_push_of_a_few_samples_of_a_slow_sensor_is_a_push():
+    value = 0.05 * np.random.default_rng(4).standard_normal(2000)
+    value[700:706] += (8.0, 6.0, 5.0, 4.5, 4.0, 3.5)
+    assert not absurd(value, 0.1).any()
+
+
+def test_a_sensor_that_tells_only_steps_has_no_span_at_rest():
+    value = np.zeros(20000)
+    value[5000:5010] = 1.0
+    value[7000] = 1.0
+    assert not absurd(value, 1e-3).any()

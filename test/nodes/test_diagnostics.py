@@ -117,6 +117,8 @@ def test_nodes_that_were_heard_and_are_silent_now_are_named(ros, monkeypatch, na
         while time.monotonic() < end:
             call._on_array(array_of(f'{own}planner: plan'))
         assert call.silent == ('fitter',)
+        call.begin()
+        assert call.silent == ()
         call._on_array(array_of(f'{own}fitter: fit'))
         assert call.silent == ()
     finally:

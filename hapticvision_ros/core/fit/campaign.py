@@ -953,7 +953,13 @@ def fit_prepared(
         ) from None
     # Which of several valleys is right shows once each has its own noise.
     best = min(ends, key=lambda end: end.solution.cost + end.problem.log_determinant)
-    return _result(prepared, best, warnings)
+    told = list(warnings)
+    if are_few(usable) and any(trial.height_t.size for trial in usable):
+        told.append(
+            'the displacement heights are too few to tell their noise: it is taken as '
+            f'{1e6 * best.height_noise.std:.2g} um'
+        )
+    return _result(prepared, best, told)
 
 
 class _End(NamedTuple):
@@ -1084,7 +1090,8 @@ def _of_few(records: Sequence[Record], trials: Sequence[FitTrial]) -> SensorNois
     """Return the noise of heights that are too few to tell it: no less than is usual."""
     count = sum(record.residual.size for record in records)
     squares = sum(float(record.blocks.count @ record.residual**2) for record in records)
-    std = math.sqrt(squares / max(count - len(records) - 1, 1))
+    zeros = sum(trial.has_height_zero for trial in trials)
+    std = math.sqrt(squares / max(count - zeros - 1, 1))
     usual = _USUAL * trials[0].reference_depth
     return SensorNoise(max(std, usual), 0.0, 20.0 * trials[0].height_interval)
 

@@ -46,11 +46,14 @@ _PRESSED: Final = 0.2
 """Share of the largest displacement height from which on it is."""
 _TOUCH_REACH: Final = 8.0
 """The touch is at most so many errors of the detection from the detected one."""
-_COARSER: Final = 1.5
-"""Forces that come so much more slowly than heights have steps too coarse for these."""
-_LOOKS: Final = 0.125
-"""Parts of such steps at the touch, over the interval of the heights."""
-_MOST_LOOKS: Final = 256
+_COARSE_STEP: Final = 0.5
+"""Over the interval of the heights: a step of one force that is too coarse for these."""
+_EVENTFUL_STEPS: Final = 12.0
+"""Intervals of the force beside an event in which they are looked at more finely."""
+_LOOKS: Final = 0.25
+"""Parts of such steps, over the shorter interval."""
+_MOST_LOOKS: Final = 400
+"""Looks at an event."""
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
@@ -346,7 +349,7 @@ class FitTrial:
         t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
         inner = (t > self.t[0]) & (t < self.t[-1]) & (displacement > 0.0)
-        t, displacement = t[inner], displacement[inner]
+        t = t[inner]
         after = np.searchsorted(self.t, t)
         away = np.minimum(self.t[after] - t, t - self.t[np.maximum(after - 1, 0)])
         apart = np.diff(t, prepend=-np.inf)
@@ -358,21 +361,26 @@ class FitTrial:
 
     def _looked_at(self) -> FloatArray:
         """
-        Return times within the steps at the touch, where heights come faster than forces.
+        Return times within the steps near the events, where heights come about as fast as forces.
 
-        The surface is a straight line within a step, but stays where it is until the touch.
+        The surface is a straight line within a step, but stays where it is until the touch, and
+        goes on in a curve after the stop and the release.
         """
-        if not self.height_t.size or self.interval <= _COARSER * self.height_interval:
+        step = min(self.interval, self.height_interval)
+        if not self.height_t.size or self.interval <= _COARSE_STEP * self.height_interval:
             return np.empty(0)
-        near = np.flatnonzero(np.abs(self.displacement) <= self.touch_reach)
-        if not near.size:
-            return np.empty(0)
-        begin, end = self.t[max(near[0] - 1, 0)], self.t[min(near[-1] + 1, self.t.size - 1)]
-        count = min(math.ceil((end - begin) / (_LOOKS * self.height_interval)), _MOST_LOOKS)
-        times = np.linspace(begin, end, count + 1)[1:-1]
-        after = np.searchsorted(self.t, times)
-        away = np.minimum(self.t[after] - times, times - self.t[after - 1])
-        return times[away > _SHORTEST_PART * _LOOKS * self.height_interval]
+        reach = _EVENTFUL_STEPS * self.interval
+        count = min(math.ceil(2.0 * reach / (_LOOKS * step)), _MOST_LOOKS)
+        events = [self.t_contact, self.t_stop]
+        if self.t_release is not None:
+            events.append(self.t_release)
+        looks = np.unique(np.add.outer(events, np.linspace(-reach, reach, count + 1)))
+        looks = looks[(looks > self.t[0]) & (looks < self.t[-1])]
+        after = np.searchsorted(self.t, looks)
+        away = np.minimum(self.t[after] - looks, looks - self.t[after - 1])
+        apart = np.diff(looks, prepend=-np.inf)
+        kept = np.minimum(away, apart) > _SHORTEST_PART * _LOOKS * step
+        return np.asarray(looks[kept], dtype=np.float64)
 
     @property
     def touch_reach(self) -> float:
@@ -576,18 +584,22 @@ def _prepare(
     if np.count_nonzero(force.t > touch) < _FEWEST or np.count_nonzero(tool.t > touch) < 4:
         return 'there are too few samples in contact'
     height = trial.displacement_height if trial.displacement_source != 'tool' else None
-    if phases.push_is_cut or (touch <= force.t[1] and _is_pressed(height)):
+    # The phases are looked for where both records are.
+    begun = min(int(np.searchsorted(force.t, tool.t[0])) + 1, len(force) - 1)
+    if phases.push_is_cut or (touch <= force.t[begun] and _is_pressed(height)):
         return 'the record begins in contact, after a part of the push or all of it'
     displacement = Signal(tool.t, original - tool.value)
-    deepest = int(np.argmax(displacement.value))
-    if displacement.value[deepest] <= 0.0 or tool.t[deepest] <= touch:
+    if displacement.value.max() <= 0.0:
         return 'the tool does not go on after the touch'
     path = tool_path(displacement, phases)
+    deepest = int(np.argmax(path.displacement))
+    if path.displacement[deepest] <= 0.0 or path.t[deepest] <= touch:
+        return 'the tool does not go on after the touch'
     interval = float(np.median(np.diff(force.t)))
     middle = 0.5 * (force.t[1:] + force.t[:-1])
     edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
     eventful = near_events(force.t, phases, interval)
-    bad = (suspects(force.value) & ~eventful) | absurd(force.value)
+    bad = (suspects(force.value) & ~eventful) | absurd(force.value, interval)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
     edges = samples.edges
@@ -635,7 +647,8 @@ def _is_pressed(height: Signal | None) -> bool:
     """Return whether an object is pressed in when its record begins."""
     if height is None or len(height) < 2 * _FIRST:
         return False
-    return float(np.median(height.value[:_FIRST])) > _PRESSED * float(height.value.max())
+    most = float(height.value[~suspects(height.value)].max())
+    return float(np.median(height.value[:_FIRST])) > _PRESSED * most
 
 
 def _with_gaps(
@@ -1143,13 +1156,17 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     curvature = np.abs(np.diff(value, 2))
     noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
     steps = np.abs(np.diff(value))
-    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides. What
-    # a sample is beside the line between its neighbours is alike where the tool is accelerated.
-    fast = steps > _MOVING * noise
-    fast = fast[2:] & fast[1:-1] & fast[:-2]
+    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides: in
+    # the samples where these are irregular themselves, else against their stamps.
+    moves = steps > _MOVING * noise
+    fast = moves[1:] & moves[:-1]
+    if noise > 0.0 and np.count_nonzero(fast) >= _FEWEST:
+        noise = max(noise, NORMAL_FROM_MAD * float(np.median(curvature[fast])) / math.sqrt(6.0))
+    fast = fast[1:] & moves[:-2]
     if np.count_nonzero(fast) >= _FEWEST:
         share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
         beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+        # What a tool that is accelerated is beside the line is alike for neighbours.
         change = np.abs(np.diff(beside))[fast]
         noise = max(noise, NORMAL_FROM_MAD * float(np.median(change)) / math.sqrt(5.0))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]

@@ -23,6 +23,7 @@ import numpy as np
 _LAST = 1.0
 """The height at the end of a hold is that of its last second [s], or of its last samples."""
 _LAST_SAMPLES = 4
+_FEW = 3
 
 
 def start_of_recovery(
@@ -84,6 +85,10 @@ def _before(signal: Signal, begun: float, released: float) -> tuple[float, float
     if not len(record):
         return math.nan, math.inf
     error = float(record.value.std()) / math.sqrt(len(record))
+    if len(record) < _FEW:
+        # These tell no noise: the height may be anywhere between theirs and their neighbours'.
+        first, last = np.searchsorted(signal.t, (record.t[0], record.t[-1]))
+        error = float(np.ptp(signal.value[slice(max(int(first) - 1, 0), int(last) + 2)]))
     return float(np.median(record.value)), error
 
 

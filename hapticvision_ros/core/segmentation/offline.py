@@ -217,8 +217,8 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
             'the force and the tool height do not overlap in time: check the clocks that '
             'stamped them'
         )
-    f = despike(possible(force.value))
-    x = tool_height.value[0] - despike(possible(tool_height.value))
+    f = despike(possible(force))
+    x = tool_height.value[0] - despike(possible(tool_height))
     inside = slice(*np.searchsorted(force.t, (start, stop + 1e-12)))
     f_noise, x_noise = noise_std(force.value), noise_std(tool_height.value)
     x_noise = max(x_noise, _coarseness(x))
