@@ -102,6 +102,8 @@ _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
+_CLEARLY: Final = 2.0
+"""Noise by the stamps over that of the samples from which on it is another."""
 _ZOOMS: Final = 5
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
@@ -1168,7 +1170,9 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
         beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
         # What a tool that is accelerated is beside the line is alike for neighbours.
         change = np.abs(np.diff(beside))[fast]
-        noise = max(noise, NORMAL_FROM_MAD * float(np.median(change)) / math.sqrt(5.0))
+        stamps = NORMAL_FROM_MAD * float(np.median(change)) / math.sqrt(5.0)
+        # The larger of two estimates of one noise would be more than it is.
+        noise = stamps if stamps > _CLEARLY * noise else noise
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
         resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size
