@@ -127,7 +127,7 @@ _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
 _TURNS: Final = 5
 """Periods in a trial below which a line is none: anything smooth has such."""
-_FEWEST_HEIGHTS: Final = 20
+_FEWEST_HEIGHTS: Final = 8
 """Displacement heights of a campaign below which they tell no noise: a fit leaves them none."""
 _USUAL: Final = 0.005
 """Noise of the displacement height over the depth where it is not told."""
