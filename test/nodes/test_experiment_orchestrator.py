@@ -430,11 +430,13 @@ def test_nodes_that_die_in_a_trial_are_told_with_its_outcome(node, monkeypatch, 
     experiment = came_to(Step.PUSH)
     silent = []
     monkeypatch.setattr(node, '_roll_call', SimpleNamespace(silent=silent))
-    node._watch_others(experiment)
+    monkeypatch.setattr(node, '_last_heard', {POINTS.name: 0.0, DISPLACEMENT_HEIGHT.name: 0.0})
+    node._poll(experiment, 0.0)
     silent.append('rheology_fitter')
-    node._watch_others(experiment)
+    node._poll(experiment, 0.0)
     silent.clear()
-    node._watch_others(experiment)
+    node._poll(experiment, 0.0)
+    assert experiment.step is Step.PUSH
     closed = {}
     recording = SimpleNamespace(
         closed=True,
