@@ -19,6 +19,8 @@ from hapticvision_ros.core.records import FloatArray, Signal
 import numpy as np
 from numpy.typing import NDArray
 
+NORMAL_FROM_MAD: Final = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
 FEWEST: Final = 16
 """In fewer samples nothing is usual."""
 RARE: Final = 5e-3

@@ -38,6 +38,7 @@ from hapticvision_ros.core.fit.campaign import (
     follow,
     force_blocks,
     height_blocks,
+    in_order,
     longest_memory,
     Memory,
     places_of,
@@ -251,7 +252,10 @@ class Workbench:
         if not ends:
             return None
         best = min(ends, key=lambda end: end.cost)
-        return self._settled(problem, best.theta, near.force_noise, near.height_noise, near.blur)
+        names = [parameter.symbol for parameter in BASE_PARAMETERS]
+        values = near.model.values(near.theta)[: len(names)]
+        begin = in_order(problem, best.theta, dict(zip(names, values.tolist(), strict=True)))
+        return self._settled(problem, begin, near.force_noise, near.height_noise, near.blur)
 
     def promise(self, model: Model, near: Refit) -> float:
         """

@@ -141,6 +141,9 @@ class EffectParameter:
         interval can reach zero.
     scan : tuple of float
         Factors on the guess that a search starts from, whatever the strength.
+    twin : str
+        The base parameter that it may be exchanged with, all of an effect at once, without any
+        difference; empty for none.
 
     """
 
@@ -153,6 +156,7 @@ class EffectParameter:
     neutral: float = 0.0
     log: bool = False
     scan: tuple[float, ...] = (1.0,)
+    twin: str = ''
 
 
 @dataclass(slots=True)

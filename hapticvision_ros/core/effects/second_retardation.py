@@ -41,6 +41,7 @@ EFFECT = Effect(
             lambda scale: 3.0 * scale.K1,
             neutral=math.inf,
             log=True,
+            twin='K1',
         ),
         EffectParameter(
             'C_3',
@@ -48,17 +49,18 @@ EFFECT = Effect(
             'viscosity of the second Kelvin-Voigt unit',
             1e-6,
             1e15,
-            # A tenth of the first unit's retardation time: the two are told apart best when their
-            # times differ and neither is longer than the contact.
+            # A tenth of the first unit's retardation time, or ten times it: the two are told apart
+            # best when their times differ and neither is longer than the contact.
             lambda scale: 0.3 * scale.C1,
             neutral=math.nan,
             log=True,
-            scan=(1.0, 0.1, 10.0),
+            scan=(1.0, 0.1, 10.0, 100.0),
+            twin='C1',
         ),
     ),
     validity=(
         'A second retardation time apart from C1 / K1; where the two are equal the units are one, '
-        'and exchanging them changes nothing.'
+        'and exchanging them changes nothing: the first is the one that the base model shows.'
     ),
     signature='The decay in the hold and the recovery have two time constants instead of one.',
     source=(

@@ -40,7 +40,6 @@ from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
-from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
 from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
@@ -54,7 +53,7 @@ from hapticvision_ros.core.fit.noise_model import (
 )
 from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.kernels import kernel
-from hapticvision_ros.core.outliers import runs
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, runs
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +76,8 @@ _OUTLYING: Final = 6.0
 _LOOKS: Final = 7
 _STEPS: Final = 25
 """Evaluations from each of several starts, then from the best."""
+_SAME: Final = 1.0
+"""Squares by which two ends of a search are the same."""
 _ONSET_REACH: Final = 4.0
 _ONSET_ZOOMS: Final = 4
 """The onset is looked for in this many errors of the detection, and so often more finely."""
@@ -715,6 +716,51 @@ def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
         own = dict(zip(old.own_names(old.trials[index]), state[old.places[index]], strict=True))
         result[place] = [own.get(name, 0.0) for name in new.own_names(trial)]
     return result
+
+
+def in_order(problem: Problem, state: FloatArray, base: Mapping[str, float]) -> FloatArray:
+    """
+    Return the same body with its twins exchanged where that is nearer to the base model's.
+
+    Two Kelvin-Voigt units in series are one body by either name, and a search may end at either.
+
+    Parameters
+    ----------
+    problem : Problem
+        Model and trials.
+    state : ndarray
+        All parameters, where a search has ended.
+    base : mapping of str to float
+        What the base model shows [SI units].
+
+    Returns
+    -------
+    ndarray
+        `state` itself, or the best beside what an exchange makes of it.
+
+    """
+    model = problem.model
+    twins = {p.symbol: p.twin for p in model.parameters if p.twin}
+    values = model.values(state[: problem.p])
+    ours, theirs = (
+        [model.names.index(name) for name in names] for names in (twins.values(), twins)
+    )
+    aim = np.log([base[name] for name in twins.values()])
+    if not twins or _away(values[theirs], aim) >= _away(values[ours], aim):
+        return state
+    values[ours + theirs] = values[theirs + ours]
+    exchanged = state.copy()
+    exchanged[: problem.p] = np.clip(model.theta(values), *model.bounds)
+    residual, _ = problem.evaluate(state)
+    # Another effect may act on one of the two alone.
+    found = minimise(
+        problem.evaluate, exchanged, problem.bounds, tolerance=1e-4, max_evaluations=_LOOKS
+    )
+    return found.theta if found.cost < float(residual @ residual) + _SAME else state
+
+
+def _away(values: FloatArray, aim: FloatArray) -> float:
+    return float(np.abs(np.log(values) - aim).sum())
 
 
 def force_blocks(trial: FitTrial, extra: FloatArray | None = None) -> Blocks:
@@ -1360,7 +1406,8 @@ def _search(
     again = best.theta.copy()
     find_onsets(whole, again)
     moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
-    return whole, [min((best, moved), key=lambda found: found.cost).theta]
+    state = min((best, moved), key=lambda found: found.cost).theta
+    return whole, [in_order(whole, state, {'K1': K1, 'C1': C1, 'C2': C2})]
 
 
 def find_onsets(problem: Problem, state: FloatArray) -> None:
@@ -1550,11 +1597,18 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     from scipy.special import gammaincc, gammaincinv
 
     total = np.empty(0)
-    length = _quick_length(min(t.samples.force.size for t in problem.trials))
+    interval = problem.trials[0].interval
+    shortest = min(float(trial.t[-1] - trial.t[0]) for trial in problem.trials)
+    length = _quick_length(int(shortest / interval))
+    ago = interval * np.arange(length - 1, -1, -1.0)
     for index, trial in enumerate(problem.trials):
         full = trial.full_rate
         residual = full.force - problem.predict(state, index, full, directions=False).force
-        piece = residual[-length:] - residual[-length:].mean()
+        # Samples that are missing would shift the phase of all that follow.
+        seen = full.force_count > 0.0
+        middle = full.middle[seen]
+        piece = np.interp(middle[-1] - ago, middle, residual[seen])
+        piece -= piece.mean()
         power = np.abs(np.fft.rfft(piece * np.hanning(length))) ** 2
         total = power if total.size == 0 else total + power
     total[:_TURNS] = 0.0
@@ -1562,7 +1616,7 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     places = np.arange(max(peak - 1, 0), min(peak + 2, total.size))
     around = total[places]
     weight = max(float(around.sum()), 1e-300)
-    frequency = float(around @ places / weight) / (length * problem.trials[0].interval)
+    frequency = float(around @ places / weight) / (length * interval)
     count = len(problem.trials)
     amplitude = 4.0 * math.sqrt(float(total[peak]) / count) / length
     # The power of each trial has an exponential distribution, whose median tells its mean.

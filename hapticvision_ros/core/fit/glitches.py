@@ -26,12 +26,10 @@ References
 import math
 from typing import Final
 
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 from numpy.typing import NDArray
-
-NORMAL_FROM_MAD: Final = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
 
 _HALF_WIDTH: Final = 5
 _SIGMAS: Final = 8.0

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-from hapticvision_ros.core.fit.glitches import NORMAL_FROM_MAD
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 

@@ -14,11 +14,11 @@
 
 """The phases of a recorded trial, from the whole of its signals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.outliers import possible
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, possible
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
 from hapticvision_ros.core.segmentation.contact import (
     fit_start,
@@ -43,6 +43,13 @@ _IRRELEVANT = 1e-3
 """A zero that moves by less than this share of the peak spoils nothing."""
 _MOVED = 5.0
 """Standard errors by which two levels without contact differ for certain."""
+_UNMOVED = 3.0
+"""Standard errors within which two levels are the same."""
+_OF_MEDIAN = 1.2533
+"""Standard error of a median over that of a mean, in normal noise."""
+_STRAIGHT = 2.0
+"""Spread of the object's way beside the tool's, over their noise, in which both go together."""
+_BLOCKS = 50
 _LATE_SAMPLES = 30.0
 _LATE_SHARE = 0.05
 """Samples of the height, and share of the hold, by which T_e may be found late."""
@@ -148,7 +155,14 @@ def segment(
             None, None, None, None, t_end, None, middle, None, None, tuple(warnings)
         )
     x_contact = float(np.interp(contact.t, record.tx, record.x))
-    t_hold, t_release, t_stop, level, notes = _find_motion(record, contact.t, x_contact, options)
+    motion = _find_motion(record, contact.t, x_contact, options)
+    if displacement_height is not None and not contact.warnings and motion[0] is not None:
+        seen = _seen_by_height(record, contact, x_contact, motion[0], displacement_height)
+        if seen is not contact and seen.t is not None:
+            contact = seen
+            x_contact = float(np.interp(seen.t, record.tx, record.x))
+            motion = _find_motion(record, seen.t, x_contact, options)
+    t_hold, t_release, t_stop, level, notes = motion
     warnings += notes
     if t_hold is not None and t_release is not None:
         t_release = _seen_by_force(record, t_hold, t_release)
@@ -271,6 +285,66 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     }
     zero_std = 0.0 if touch.zero is None else math.hypot(touch.zero_std, record.force_step)
     return _Contact(touch.t, touch.zero, amplitude, notes[touch.found], zero_std, touch.travel_std)
+
+
+def _seen_by_height(
+    record: _Record, contact: _Contact, x_contact: float, t_hold: float, height: Signal
+) -> _Contact:
+    """
+    Return the touch that the displacement height shows where the force agrees with that one.
+
+    A force that sets in slowly, or beside a hum, may be seen to rise millimetres from the touch.
+    The object goes with the tool from the touch on, so that the tool's travel less the object's is
+    the travel at the touch; as a late clock of the range sensor or a bias of it would move that as
+    well, the force decides: between the two it has to have risen where that is to be contact, and
+    has not to have risen where it is to be air.
+    """
+    assert contact.t is not None
+    value = despike(possible(height))
+    air = value[height.t < contact.t]
+    pressed = (height.t > contact.t + (t_hold - contact.t) / 3.0) & (height.t < t_hold)
+    if min(air.size, np.count_nonzero(pressed)) < _FEWEST:
+        return contact
+    level = float(np.median(air))
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(air - level)))
+    touches = np.interp(height.t[pressed], record.tx, record.x) - (value[pressed] - level)
+    x_touch = float(np.median(touches))
+    spread = NORMAL_FROM_MAD * float(np.median(np.abs(touches - x_touch)))
+    error = math.hypot(spread / math.sqrt(touches.size), noise / math.sqrt(air.size))
+    error = math.hypot(_OF_MEDIAN * error, record.travel_noise)
+    away = abs(x_touch - x_contact)
+    if spread > _STRAIGHT * math.hypot(noise, record.travel_noise) or away <= _MOVED * math.hypot(
+        error, contact.travel_std
+    ):
+        return contact
+    after = int(np.argmax(np.maximum.accumulate(record.x) > x_touch))
+    beside = slice(max(after - 1, 0), after + 1)
+    t_touch = float(np.interp(x_touch, record.x[beside], record.tx[beside]))
+    first, last = np.searchsorted(record.tf, sorted((t_touch, contact.t))).tolist()
+    # The end of what is asked about has the most force of it; blocks of that length before it have
+    # the same slow noise and hum.
+    size = min(last - first, first // _FEWEST)
+    if size < _FEWEST:
+        return contact
+    blocks = min(first // size, _BLOCKS)
+    before = record.f[first - blocks * size : first]
+    means = before.reshape(blocks, size).mean(axis=1)
+    risen = float(record.f[last - size : last].mean() - means.mean())
+    error_risen = float(means.std(ddof=1)) * math.sqrt(1.0 + 1.0 / blocks)
+    if t_touch < contact.t:
+        agrees = risen > _MOVED * error_risen
+    else:
+        agrees = abs(risen) < _UNMOVED * error_risen
+    if not agrees:
+        return contact
+    zero, zero_std = quiet_level(record.f[: int(np.searchsorted(record.tf, t_touch))])
+    return replace(
+        contact,
+        t=t_touch,
+        zero=zero,
+        zero_std=math.hypot(zero_std, record.force_step),
+        travel_std=error,
+    )
 
 
 def _find_rests(
