@@ -16,8 +16,8 @@
 """
 The layouts of RViz, PlotJuggler and Foxglove show topics that there are.
 
-None of the three programs is here: whether they draw what they should only they can tell. What
-they do with a layout was read in their sources.
+None of the three programs is here: whether they draw what they should only they can tell, as
+PlotJuggler 3.17.1 did. What they do with a layout was read in their sources.
 """
 
 import json
@@ -119,6 +119,19 @@ def test_plotjuggler_plots_numbers_of_the_contract() -> None:
             == len(splitter)
             == len(splitter.attrib['sizes'].split(';'))
         )
+
+
+def test_plotjuggler_draws_nothing_between_samples_that_was_not_so() -> None:
+    """Its "Steps" go back to the sample before; no line goes across what the tool hides."""
+    root = ElementTree.parse(FOLDER / 'plotjuggler.xml').getroot()
+    styles = {
+        curve.attrib['name']: plot.attrib['style']
+        for plot in root.iter('plot')
+        for curve in plot.iter('curve')
+    }
+    assert 'Steps' not in styles.values()
+    assert styles['/arm/push_velocity/data'] == 'StepsInv'
+    assert styles['/object/displacement_height/data'] == 'Dots'
 
 
 def test_plotjuggler_subscribes_to_what_it_plots() -> None:
