@@ -17,7 +17,7 @@
 The layouts of RViz, PlotJuggler and Foxglove show topics that there are.
 
 None of the three programs is here: whether they draw what they should only they can tell, as
-PlotJuggler 3.17.1 did. What they do with a layout was read in their sources.
+PlotJuggler 3.17.1 and Lichtblick 1.28.1 did. What they do with a layout was read in their sources.
 """
 
 import json
@@ -171,6 +171,16 @@ def test_foxglove_names_values_of_the_contract(foxglove: dict[str, Any]) -> None
     for panel in panels.values():
         if 'topicName' in panel:
             assert panel['datatype'] == CONTRACT[panel['topicName']].msgtype
+
+
+def test_foxglove_colours_clouds_of_which_points_are_missing(foxglove) -> None:
+    """Of a cloud that lacks a return the program finds no range of colours: all would be black."""
+    for panel in foxglove['configById'].values():
+        for topic, settings in panel.get('topics', {}).items():
+            if settings.get('colorMode') == 'colormap':
+                assert settings['minValue'] < settings['maxValue'], topic
+            elif settings.get('colorMode') == 'flat':
+                assert settings['colorField'], topic
 
 
 def test_foxglove_shows_each_panel_once(foxglove: dict[str, Any]) -> None:

@@ -29,6 +29,7 @@ from typing import Final, Literal
 from hapticvision_ros.core.diagnosis.refit import Refit
 from hapticvision_ros.core.fit.campaign import calm, quietest
 from hapticvision_ros.core.fit.data import FitTrial
+from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
@@ -123,8 +124,10 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
     height_alike = _alike(found.height_noise, first.height_interval)
+    # A coarse load cell may read the same without contact, and round in it.
+    coarse = max(rounding(trial.samples.force) for trial in problem.trials)
     held = (
-        _held('force', forces, alike, least_force),
+        _held('force', forces, alike, least_force, coarse),
         _held('displacement height', heights, height_alike, least_height),
     )
     return tuple(each for each in held if each is not None)
@@ -170,13 +173,14 @@ def _held(
     parts: Sequence[tuple[str, FloatArray, FloatArray]],
     alike: float,
     least: float,
+    coarse: float = 0.0,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is."""
     known = [each for each in parts if each[2].size >= _FEW]
     quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
     if quiet.size < _FEWEST or not known:
         return None
-    noise = max(math.sqrt(float(np.mean(quiet**2))), least)
+    noise = max(math.hypot(math.sqrt(float(np.mean(quiet**2))), coarse), least)
     # A standard deviation is known to one over the root of twice the samples.
     unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
     ratios = []

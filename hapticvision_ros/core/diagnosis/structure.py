@@ -30,6 +30,7 @@ from typing import Final, Literal
 from hapticvision_ros.core.diagnosis.records import Channel, Phase
 from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Smooth, Workbench
 from hapticvision_ros.core.fit.data import FitTrial
+from hapticvision_ros.core.outliers import runs
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,8 @@ GATE: Final = 12.0
 """Gain in Schwarz's criterion from which on something is left."""
 _BESIDE: Final = 3
 """Steps beside a jump of the force in which nothing is looked for."""
+_UNKNOWN: Final = 2.0
+"""Intervals of the encoders beside a jump of the force in which nothing is looked for either."""
 _LOOKED_CLOSER: Final = 3
 """Curves whose noise is estimated anew."""
 
@@ -162,12 +165,17 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
     """Return, for each trial, in which steps the force does not jump within a few samples."""
     limit = found.force_noise.std**2
     calm = []
-    for jumps in found.problem.jumps(found.state):
+    for trial, jumps in zip(found.problem.trials, found.problem.jumps(found.state), strict=True):
         sudden = jumps > limit
         near = sudden.copy()
         for k in range(1, _BESIDE + 1):
             near[k:] |= sudden[:-k]
             near[:-k] |= sudden[k:]
+        # How the tool changes its speed between two samples of its encoders is not known.
+        reach = _UNKNOWN * trial.path.interval
+        for first, last in runs(sudden):
+            early, late = trial.t[first] - reach, trial.t[last] + reach
+            near[np.searchsorted(trial.t[1:], early) : np.searchsorted(trial.t[:-1], late)] = True
         calm.append(~near)
     return calm
 

@@ -31,6 +31,7 @@ import math
 from typing import Final
 
 from hapticvision_ros.core.fit.glitches import find_glitches
+from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs
@@ -102,10 +103,6 @@ _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
-_WHOLE: Final = 0.05
-"""Of a step, by which what is called a multiple of it may be off."""
-_MULTIPLES: Final = 4
-"""Different multiples, fewer of which a tool with a few speeds shows without any rounding."""
 _CLEARLY: Final = 2.0
 """Noise by the stamps over that of the samples from which on it is another."""
 _ZOOMS: Final = 5
@@ -1178,7 +1175,7 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
         # The larger of two estimates of one noise would be more than it is.
         noise = stamps if stamps > _CLEARLY * noise else noise
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
-    noise = max(noise, _resolution(moving) / math.sqrt(12.0))
+    noise = max(noise, rounding(value))
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
         resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size
         changes = int(np.count_nonzero(np.diff(np.flatnonzero(steps)) > 1))
@@ -1186,25 +1183,6 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
         if resting and changes > 0.1 * moving.size:
             noise = max(noise, 0.3 * float(moving.min()))
     return noise
-
-
-def _resolution(moving: FloatArray) -> float:
-    """
-    Return the least step of a reading of which all its steps are multiples; zero for none.
-
-    A tool may go on by the same number of them for long, which looks as if nothing were rounded.
-    """
-    if moving.size < _FEWEST:
-        return 0.0
-    resolution = float(moving.min())
-    # The small ones tell it closely enough for the large ones to be counted, whose digits may end
-    # before it does.
-    for largest in (3.5 * resolution, 30.0 * resolution, math.inf):
-        chosen = moving[moving <= largest]
-        whole = np.rint(chosen / resolution)
-        resolution = float(chosen.sum() / whole.sum())
-    away = np.abs(moving / resolution - whole)
-    return resolution if away.max() < _WHOLE and np.unique(whole).size >= _MULTIPLES else 0.0
 
 
 def _thinned(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:

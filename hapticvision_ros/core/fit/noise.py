@@ -39,6 +39,11 @@ _ROUNDING: Final = 1e-12
 _DEGREE: Final = 3
 _CHI2_MEDIAN: Final = 11.340
 """Median of chi squared with `_WINDOW` - `_DEGREE` - 1 = 12 degrees of freedom."""
+_WHOLE: Final = 0.05
+"""Of a step of a reading, by which what is called a multiple of it may be off."""
+_MULTIPLES: Final = 4
+"""Different multiples, fewer of which a tool with a few speeds shows without any rounding."""
+_FEWEST_STEPS: Final = 16
 _MOST_WINDOWS: Final = 4096
 """Windows that are looked at: their median is known to half a percent."""
 
@@ -87,6 +92,42 @@ def estimate_noise(trial: Trial, segmentation: Segmentation) -> Noise:
     return Noise(
         force, _larger(height.between(-math.inf, baseline_end), rest, 'displacement height')
     )
+
+
+def rounding(value: FloatArray) -> float:
+    """
+    Return the standard deviation of the error that a sensor makes by rounding what it reads.
+
+    A tool may go on by the same number of steps of its encoders for long, and a load cell may read
+    the same without contact, which looks as if nothing were rounded: all changes of the reading
+    are multiples of one step.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        Readings.
+
+    Returns
+    -------
+    float
+        A step over the root of twelve [unit of `value`]; zero where none shows.
+
+    """
+    changes = np.abs(np.diff(value))
+    changes = changes[changes > _ROUNDING * float(np.abs(value).max(initial=0.0))]
+    if changes.size < _FEWEST_STEPS:
+        return 0.0
+    step = float(changes.min())
+    # The small ones tell it closely enough for the large ones to be counted, whose digits may end
+    # before it does.
+    for largest in (3.5 * step, 30.0 * step, math.inf):
+        chosen = changes[changes <= largest]
+        whole = np.rint(chosen / step)
+        step = float(chosen.sum() / whole.sum())
+    away = np.abs(changes / step - whole)
+    if away.max() >= _WHOLE or np.unique(whole).size < _MULTIPLES:
+        return 0.0
+    return step / math.sqrt(12.0)
 
 
 def pool_noise(noises: Sequence[Noise]) -> Noise:
