@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
@@ -110,6 +110,12 @@ _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _SHOWN: Final = 25.0
 """Drop of the squares over the noise from which on a change of speed takes time."""
+_STILL: Final = 0.9
+"""Part of the readings of a tool at rest that are one and the same."""
+_RESTS: Final = 17
+"""Places within a step of the encoders where a tool at rest may be."""
+_ROUNDED: Final = 1.001
+"""Half a step of the encoders, and the rounding of its digits."""
 _NO_WORSE: Final = 1.2
 _AIR: Final = 0.2
 """The tool's path is followed closely up to this share of the depth above the first touch."""
@@ -887,7 +893,8 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         if knots.size > _MOST_PIECES:
             knots, levels = inner_t, inner_value
         else:
-            knots, levels, bends = _bent(inner_t, inner_value, knots, levels, noise)
+            coarse = _ROUNDED * math.sqrt(3.0) * rounding(value)
+            knots, levels, bends = _bent(inner_t, inner_value, knots, levels, noise, coarse)
     tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
     before = _coarse(t[:first], value[:first], tolerance)
     after = _coarse(t[last:], value[last:], tolerance)
@@ -915,13 +922,19 @@ def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatAr
 
 
 def _bent(
-    t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
+    t: FloatArray,
+    value: FloatArray,
+    knots: FloatArray,
+    levels: FloatArray,
+    noise: float,
+    coarse: float,
 ) -> tuple[FloatArray, FloatArray, tuple[Bend, ...]]:
     """
     Return the path with corners in place of the short pieces over which the tool changes speed.
 
     An arm takes some time to change its speed. Two straight pieces and an acceleration between
-    them take the place of the corners there if they follow the samples as well.
+    them take the place of the corners there if they follow the samples as well, but for `coarse`,
+    by which the encoders round.
     """
     step = float(np.median(np.diff(t)))
     groups: list[list[int]] = []
@@ -937,7 +950,7 @@ def _bent(
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
-        tried = (_bend(t, value, around, step, noise, edge) for edge in _EDGE_SAMPLES)
+        tried = (_bend(t, value, around, step, noise, coarse, edge) for edge in _EDGE_SAMPLES)
         found = next(filter(None, tried), None)
         gaps = np.diff(knots[group])
         if found is None and gaps.max(initial=0.0) > _APART * step:
@@ -959,7 +972,7 @@ def _bent(
     made, heights = np.array(new_knots), np.array(new_levels)
     path = ToolPath(made, heights, noise, tuple(bends))
     before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
-    after = float(np.sum((value - path.at(t)) ** 2))
+    after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
     # The pieces between are those of least squares by themselves: all must still follow.
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         return knots, levels, ()
@@ -972,40 +985,86 @@ def _bend(
     around: Sequence[float],
     step: float,
     noise: float,
+    coarse: float,
     edge: int,
 ) -> tuple[Bend, float] | None:
     """Return the acceleration between two straight pieces, and the level where these meet."""
     left, start, stop, right = around
     margin = max(stop - start, edge * step)
     lines = []
-    for first, last in ((left, start - margin), (stop + margin, right)):
+    rest: int | None = None
+    for k, (first, last) in enumerate(((left, start - margin), (stop + margin, right))):
         inside = (t >= first) & (t <= last)
         if np.count_nonzero(inside) < edge:
             return None
         lines.append(_line(t[inside], value[inside], np.ones(np.count_nonzero(inside))))
-    (level, slope), (next_level, next_slope) = lines
-    turn = next_slope - slope
-    if turn == 0.0:
-        return None
-    meeting = (level - next_level) / turn
-    if not start - margin < meeting < stop + margin:
+        reading = float(np.median(value[inside]))
+        if coarse > 0.0 and np.mean(np.abs(value[inside] - reading) < coarse) > _STILL:
+            rest = k
+            lines[k] = reading, 0.0
+    if lines[0][1] == lines[1][1]:
         return None
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
-    near_t = t[chosen]
+    near_t, near = t[chosen], value[chosen]
     if near_t.size == 0:
         return None
-    miss = value[chosen] - np.where(
-        near_t < meeting, level + slope * near_t, next_level + next_slope * near_t
-    )
+    found = _turned(near_t, near, lines, None, 0.0, 4.0 * margin)
+    if rest is not None:
+        # A tool at rest reads the same wherever it is within a step of its encoders; how it comes
+        # there tells more: the mean over the step, by how likely the readings beside the rest are.
+        def moved(shift: float) -> _Turned:
+            shifted = list(lines)
+            shifted[rest] = lines[rest][0] + shift, 0.0
+            return _turned(near_t, near, shifted, rest, coarse, 4.0 * margin)
 
-    away = np.abs(near_t - meeting)
+        shifts = np.linspace(-coarse, coarse, _RESTS)
+        squares = np.array([moved(shift).squares for shift in shifts.tolist()])
+        likely = np.exp(-0.5 * (squares - squares.min()) / noise**2)
+        found = moved(float(likely @ shifts / likely.sum()))
+    if not start - margin < found.bend.t < stop + margin:
+        return None
+    if found.squares > _FOLLOWS**2 * near_t.size * noise**2:
+        return None
+    scale = max(noise**2, found.squares / near_t.size)
+    shown = found.sharp - found.squares > _SHOWN * scale
+    return (found.bend if shown else replace(found.bend, duration=0.0)), found.level
+
+
+class _Turned(NamedTuple):
+    """A change of speed, its level, the squares that it leaves, and those of a sharp corner."""
+
+    bend: Bend
+    level: float
+    squares: float
+    sharp: float
+
+
+def _turned(
+    t: FloatArray,
+    value: FloatArray,
+    lines: Sequence[tuple[float, float]],
+    rest: int | None,
+    coarse: float,
+    longest: float,
+) -> _Turned:
+    """Return the acceleration between two lines that follows the samples best."""
+    (level, slope), (next_level, next_slope) = lines
+    turn = next_slope - slope
+    meeting = (level - next_level) / turn
+    before = t < meeting
+    miss = value - np.where(before, level + slope * t, next_level + next_slope * t)
+    away = np.abs(t - meeting)
+    resting = np.zeros(t.size, dtype=np.bool_)
+    if rest is not None:
+        resting = np.abs(value - lines[rest][0] - lines[rest][1] * t) <= _ROUNDED * coarse
+        resting &= before == (rest == 0)
 
     def squares(durations: FloatArray) -> FloatArray:
         lasts = np.maximum(durations, 1e-9)[:, np.newaxis]
-        beyond = 0.5 * turn / lasts * np.maximum(0.5 * lasts - away, 0.0) ** 2
-        return np.asarray(np.sum((miss - beyond) ** 2, axis=1))
+        left = miss - 0.5 * turn / lasts * np.maximum(0.5 * lasts - away, 0.0) ** 2
+        return np.asarray(np.sum(np.where(resting, _beyond(left, coarse), left) ** 2, axis=1))
 
-    low, high = 0.0, 4.0 * margin
+    low, high = 0.0, longest
     best = 0.0
     for _ in range(_ZOOMS):
         tried = np.linspace(low, high, 17)
@@ -1013,11 +1072,12 @@ def _bend(
         width = (high - low) / 16.0
         low, high = max(best - width, 0.0), best + width
     sharp, bent = squares(np.array([0.0, best])).tolist()
-    if bent > _FOLLOWS**2 * near_t.size * noise**2:
-        return None
-    scale = max(noise**2, bent / near_t.size)
-    shown = sharp - bent > _SHOWN * scale
-    return Bend(meeting, best if shown else 0.0, turn), level + slope * meeting
+    return _Turned(Bend(meeting, best, turn), level + slope * meeting, bent, sharp)
+
+
+def _beyond(miss: FloatArray, coarse: float) -> FloatArray:
+    """Return what rounding by up to `coarse` does not account for."""
+    return np.asarray(np.maximum(np.abs(miss) - coarse, 0.0)) if coarse > 0.0 else miss
 
 
 def _followed(

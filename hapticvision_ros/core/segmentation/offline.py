@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import math
 
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, possible
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, possible, runs
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal
 from hapticvision_ros.core.segmentation.contact import (
     fit_start,
@@ -37,12 +37,17 @@ from hapticvision_ros.core.segmentation.fits import (
     level as median_level,
 )
 import numpy as np
+from numpy.typing import NDArray
 
 _FEWEST = 8
 _IRRELEVANT = 1e-3
 """A zero that moves by less than this share of the peak spoils nothing."""
 _MOVED = 5.0
 """Standard errors by which two levels without contact differ for certain."""
+_CALM = 16
+"""Samples without force in a row that are no chance."""
+_STARTS = 0.5
+"""Speed of the tool over that after it, below which it speeds up."""
 _UNMOVED = 3.0
 """Standard errors within which two levels are the same."""
 _OF_MEDIAN = 1.2533
@@ -269,10 +274,18 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
             return _Contact(float(tf[0]), None, fall, (_NO_PUSH,))
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
-    # The block before may have risen already in its last samples.
-    first = max(int(np.argmax(before > base + threshold)) - 1, 0) * block
-    high = first + int(np.argmax(f[first:] > base + threshold))
-    quiet = np.flatnonzero(f[: high + 1] <= base + max(least, 0.01 * amplitude))
+    calm = f <= base + max(least, 0.01 * amplitude)
+    begin = 0
+    while True:
+        # The block before may have risen already in its last samples.
+        first = max(int(np.argmax(before[begin // block :] > base + threshold)) - 1, 0) * block
+        first += begin // block * block
+        high = first + int(np.argmax(f[first:] > base + threshold))
+        again = _calm_again(record, calm, high, min((peak + 1) * block, f.size))
+        if again is None:
+            break
+        begin = again
+    quiet = np.flatnonzero(calm[: high + 1])
     low = int(quiet[-1]) if quiet.size else 0
     touch = locate_touch(tf, f, record.tx, record.x, record.travel_noise, low, high)
     notes = {
@@ -285,6 +298,27 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     }
     zero_std = 0.0 if touch.zero is None else math.hypot(touch.zero_std, record.force_step)
     return _Contact(touch.t, touch.zero, amplitude, notes[touch.found], zero_std, touch.travel_std)
+
+
+def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) -> int | None:
+    """
+    Return when a force is gone again that only the start of the tool has made; None for none.
+
+    The mass of the tool hangs on the load cell, which feels it speed up. An object that is touched
+    is still there further on; one that tears, or is touched twice, does so without a start.
+    """
+    gone = next((last for last in runs(calm[high:peak]) if last[1] - last[0] >= _CALM), None)
+    if gone is None:
+        return None
+    risen = np.flatnonzero(calm[:high])
+    low = int(risen[-1]) if risen.size else 0
+    begin, end = high + gone[0], high + gone[1]
+    length = float(record.tf[begin] - record.tf[low])
+    t = np.array([record.tf[low] - length, record.tf[low], record.tf[begin], record.tf[end - 1]])
+    x = np.interp(t, record.tx, record.x)
+    before, after = (x[1] - x[0]) / length, (x[3] - x[2]) / max(t[3] - t[2], 1e-300)
+    starts = x[3] - x[2] > 5.0 * record.travel_noise and before < _STARTS * after
+    return end if starts else None
 
 
 def _seen_by_height(
