@@ -191,7 +191,7 @@ def _shown(trial: FitTrial) -> bool:
     the force, tell nothing of that.
     """
     return any(
-        bend.duration > _RESOLVED * trial.path.interval
+        bend.duration + 2.0 * bend.lag > _RESOLVED * trial.path.interval
         for bend in trial.path.bends
         if bend.t > trial.t_contact and (trial.t_release is None or bend.stop < trial.t_release)
     )

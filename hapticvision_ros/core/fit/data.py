@@ -110,6 +110,11 @@ _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _SHOWN: Final = 25.0
 """Drop of the squares over the noise from which on a change of speed takes time."""
+_FADED: Final = 7.0
+"""Time constants after which a lag is over."""
+_BRIEFEST: Final = 0.05
+"""Of a lag, below which how long an acceleration lasts makes no difference."""
+_LAG_ZOOMS: Final = 3
 _STILL: Final = 0.9
 """Part of the readings of a tool at rest that are one and the same."""
 _RESTS: Final = 17
@@ -196,37 +201,58 @@ class ToolPath:
 @dataclass(frozen=True, slots=True)
 class Bend:
     """
-    A corner that is passed with a constant acceleration.
+    A corner that is passed with a constant acceleration, which the arm may follow with a lag.
 
     Parameters
     ----------
     t : float
         When the two straight pieces would meet [s].
     duration : float
-        How long the acceleration lasts, half of it before `t` [s].
+        How long the acceleration lasts [s].
     turn : float
         Speed after less speed before [m/s].
+    lag : float
+        Time constant of the first-order lag of the arm's servo [s].
 
     """
 
     t: float
     duration: float
     turn: float
+    lag: float = 0.0
 
     @property
     def start(self) -> float:
         """Return when the acceleration begins [s]."""
-        return self.t - 0.5 * self.duration
+        return self.t - self.lag - 0.5 * self.duration
 
     @property
     def stop(self) -> float:
         """Return when it ends [s]."""
-        return self.t + 0.5 * self.duration
+        return self.start + self.duration + _FADED * self.lag
 
     def beyond(self, t: FloatArray) -> FloatArray:
         """Return by how much the path is beyond the straight pieces at times within [m]."""
-        away = np.maximum(0.5 * self.duration - np.abs(t - self.t), 0.0)
-        return 0.5 * self.turn / self.duration * away**2
+        return self.turn * _rounded(t - self.t, np.array([self.duration]), self.lag)
+
+
+def _rounded(away: FloatArray, duration: FloatArray, lag: float) -> FloatArray:
+    """
+    Return by how much a corner is passed, over the change of speed, at times `away` from it [s].
+
+    Shapes (n,) and (k, 1) give (k, n). The travel of a tool that is accelerated evenly is the
+    difference of two that go on being so, each after the lag.
+    """
+    if lag == 0.0:
+        left: FloatArray = np.maximum(0.5 * duration - np.abs(away), 0.0)
+        return 0.5 / duration * left**2
+
+    def travel(since: FloatArray) -> FloatArray:
+        return since * (0.5 * since - lag) - lag * lag * np.expm1(-since / lag)
+
+    begun = np.maximum(away + lag + 0.5 * duration, 0.0)
+    ended = np.maximum(away + lag - 0.5 * duration, 0.0)
+    return (travel(begun) - travel(ended)) / duration - np.maximum(away, 0.0)
 
 
 @dataclass(frozen=True)
@@ -353,7 +379,7 @@ class FitTrial:
         bent = [
             np.arange(bend.start, bend.stop, fine)
             for bend in self.path.bends
-            if bend.duration < _QUICK * self.interval
+            if bend.stop - bend.start < _QUICK * self.interval
         ]
         t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
@@ -965,7 +991,7 @@ def _bent(
         bend, level = found
         new_knots.append(bend.t)
         new_levels.append(level)
-        if bend.duration > 0.0:
+        if bend.stop > bend.start:
             bends.append(bend)
     new_knots.append(float(knots[-1]))
     new_levels.append(float(levels[-1]))
@@ -1008,17 +1034,17 @@ def _bend(
     near_t, near = t[chosen], value[chosen]
     if near_t.size == 0:
         return None
-    found = _turned(near_t, near, lines, None, 0.0, 4.0 * margin)
+    found = _turned(near_t, near, lines, None, 0.0, 4.0 * margin, noise)
     if rest is not None:
         # A tool at rest reads the same wherever it is within a step of its encoders; how it comes
         # there tells more: the mean over the step, by how likely the readings beside the rest are.
-        def moved(shift: float) -> _Turned:
+        def moved(shift: float, lag: float | None = None) -> _Turned:
             shifted = list(lines)
             shifted[rest] = lines[rest][0] + shift, 0.0
-            return _turned(near_t, near, shifted, rest, coarse, 4.0 * margin)
+            return _turned(near_t, near, shifted, rest, coarse, 4.0 * margin, noise, lag)
 
         shifts = np.linspace(-coarse, coarse, _RESTS)
-        squares = np.array([moved(shift).squares for shift in shifts.tolist()])
+        squares = np.array([moved(shift, found.bend.lag).squares for shift in shifts.tolist()])
         likely = np.exp(-0.5 * (squares - squares.min()) / noise**2)
         found = moved(float(likely @ shifts / likely.sum()))
     if not start - margin < found.bend.t < stop + margin:
@@ -1027,7 +1053,7 @@ def _bend(
         return None
     scale = max(noise**2, found.squares / near_t.size)
     shown = found.sharp - found.squares > _SHOWN * scale
-    return (found.bend if shown else replace(found.bend, duration=0.0)), found.level
+    return (found.bend if shown else replace(found.bend, duration=0.0, lag=0.0)), found.level
 
 
 class _Turned(NamedTuple):
@@ -1046,6 +1072,8 @@ def _turned(
     rest: int | None,
     coarse: float,
     longest: float,
+    noise: float,
+    lag: float | None = None,
 ) -> _Turned:
     """Return the acceleration between two lines that follows the samples best."""
     (level, slope), (next_level, next_slope) = lines
@@ -1053,26 +1081,43 @@ def _turned(
     meeting = (level - next_level) / turn
     before = t < meeting
     miss = value - np.where(before, level + slope * t, next_level + next_slope * t)
-    away = np.abs(t - meeting)
+    away = t - meeting
     resting = np.zeros(t.size, dtype=np.bool_)
     if rest is not None:
         resting = np.abs(value - lines[rest][0] - lines[rest][1] * t) <= _ROUNDED * coarse
         resting &= before == (rest == 0)
 
-    def squares(durations: FloatArray) -> FloatArray:
-        lasts = np.maximum(durations, 1e-9)[:, np.newaxis]
-        left = miss - 0.5 * turn / lasts * np.maximum(0.5 * lasts - away, 0.0) ** 2
+    def squares(durations: FloatArray, lag: float) -> FloatArray:
+        lasts = np.maximum(durations, max(_BRIEFEST * lag, 1e-9))[:, np.newaxis]
+        left = miss - turn * _rounded(away, lasts, lag)
         return np.asarray(np.sum(np.where(resting, _beyond(left, coarse), left) ** 2, axis=1))
 
-    low, high = 0.0, longest
-    best = 0.0
-    for _ in range(_ZOOMS):
-        tried = np.linspace(low, high, 17)
-        best = float(tried[np.argmin(squares(tried))])
-        width = (high - low) / 16.0
-        low, high = max(best - width, 0.0), best + width
-    sharp, bent = squares(np.array([0.0, best])).tolist()
-    return _Turned(Bend(meeting, best, turn), level + slope * meeting, bent, sharp)
+    def best_duration(lag: float) -> tuple[float, float]:
+        low, high = 0.0, longest
+        best = 0.0
+        for _ in range(_ZOOMS):
+            tried = np.linspace(low, high, 17)
+            best = float(tried[np.argmin(squares(tried, lag))])
+            width = (high - low) / 16.0
+            low, high = max(best - width, 0.0), best + width
+        best = max(best, _BRIEFEST * lag)
+        return float(squares(np.array([best]), lag)[0]), best
+
+    bent, duration = best_duration(lag or 0.0)
+    if lag is None:
+        lag, low, high = 0.0, 0.0, 0.25 * longest
+        ends = [(bent, duration, 0.0)]
+        for _ in range(_LAG_ZOOMS):
+            lags = np.linspace(low, high, 8)[1:].tolist()
+            ends += [(*best_duration(each), each) for each in lags]
+            at, width = min(ends)[2], (high - low) / 7.0
+            low, high = max(at - width, 0.0), at + width
+        lagged = min(ends)
+        if lagged[0] < bent - _SHOWN * noise**2:
+            bent, duration, lag = lagged
+    sharp = float(squares(np.zeros(1), 0.0)[0])
+    bend = Bend(meeting, duration, turn, lag)
+    return _Turned(bend, level + slope * meeting, bent, sharp)
 
 
 def _beyond(miss: FloatArray, coarse: float) -> FloatArray:
