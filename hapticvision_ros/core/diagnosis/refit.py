@@ -464,6 +464,8 @@ class Workbench:
         scale = self.scale(near, K1, C1, C2)
         guess = model.values(model.first_guess(scale))
         new = places_of(model, added)
+        neutral = np.array([model.parameters[k].neutral for k in new])
+        absent = np.where(np.isfinite(neutral), neutral, 0.0)
         signless = any(guess[k] != 0.0 for k in new)
         # A stiffness in series is the weaker the larger it is, and its viscosity with it.
         stiff = np.concatenate(
@@ -479,7 +481,9 @@ class Workbench:
         states = []
         for factor, scan in product(_FACTORS if signless else _FACTORS[:1], scans):
             values = model.values(begin[: problem.p])
-            values[new] = guess[new] * np.where(stiff, 1.0 / factor, factor) * scan
+            # A power of one, as of a dashpot, is what it differs from.
+            strength = np.where(stiff, 1.0 / factor, factor)
+            values[new] = absent + (guess[new] - absent) * strength * scan
             state = begin.copy()
             state[: problem.p] = np.clip(model.theta(values), *model.bounds)
             states.append(state)
