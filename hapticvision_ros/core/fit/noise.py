@@ -125,9 +125,10 @@ def rounding(value: FloatArray) -> float:
         whole = np.rint(chosen / step)
         step = float(chosen.sum() / whole.sum())
     away = np.abs(changes / step - whole)
-    if away.max() >= _WHOLE or np.unique(whole).size < _MULTIPLES:
-        return 0.0
-    return step / math.sqrt(12.0)
+    # A slow tool goes on by one step more or less from reading to reading.
+    turns = np.count_nonzero(np.abs(np.diff(whole)) == 1.0)
+    few = np.unique(whole).size < _MULTIPLES and turns < _FEWEST_STEPS
+    return 0.0 if few or away.max() >= _WHOLE else step / math.sqrt(12.0)
 
 
 def pool_noise(noises: Sequence[Noise]) -> Noise:
