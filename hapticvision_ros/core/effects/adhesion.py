@@ -42,7 +42,7 @@ EFFECT = Effect(
             lambda scale: max(scale.pull, 0.02 * scale.force),
             # Samples average the pull with what comes after it, and the force jumps past many
             # values: between these a search does not find its way.
-            scan=(1.0, 1.5, 2.2, 3.3),
+            scan=(1.0, 1.1, 1.2, 1.5, 2.2, 3.3),
         ),
     ),
     validity='A pull-off force that depends neither on the speed nor on the time in contact.',

@@ -108,7 +108,7 @@ _CLEARLY: Final = 2.0
 _ZOOMS: Final = 5
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
-_SHOWN: Final = 25.0
+_SHOWN: Final = 12.0
 """Drop of the squares over the noise from which on a change of speed takes time."""
 _FADED: Final = 7.0
 """Time constants after which a lag is over."""
