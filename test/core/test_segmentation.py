@@ -576,6 +576,74 @@ def test_a_surface_seen_below_the_tool_is_a_loss_of_contact_whatever_the_force()
     assert free.t_loss is not None
 
 
+@dataclass(frozen=True)
+class Slow:
+    """A push at 1 mm/s into what grows stiff by and by, seen by load cell and range sensor."""
+
+    power: float = 2.5
+    force_noise: float = 0.006
+    hum: float = 0.0
+    late: float = 0.0
+    bias: float = 0.0
+    mass: float = 0.0
+    seed: int = 0
+
+    touch: float = 12.0
+    speed: float = 0.001
+    depth: float = 0.006
+
+    def way(self, t: FloatArray) -> FloatArray:
+        """Return the tool's travel beyond the surface [m]; it starts at 2 s, in 0.1 s."""
+        begun = np.maximum(t - 2.0, 0.0)
+        ramp = np.where(begun < 0.1, 5.0 * begun**2, begun - 0.05)
+        stop = 2.05 + (self.touch - 2.05) + self.depth / self.speed
+        return self.speed * (np.minimum(ramp, stop - 2.05) - (self.touch - 2.05))
+
+    def signals(self) -> tuple[Signal, Signal, Signal]:
+        """Return force [N], of 100 N at most, tool height and displacement height [m]."""
+        random = np.random.default_rng(self.seed)
+        t = np.arange(0.0, 30.0, 0.004)
+        force = 100.0 * (np.maximum(self.way(t), 0.0) / self.depth) ** self.power
+        force += 100.0 * self.force_noise * random.standard_normal(t.size)
+        force += 100.0 * self.hum * np.sin(2.0 * np.pi * 8.1 * t)
+        force += self.mass * 0.01 * ((t > 2.0) & (t < 2.1))
+        tt = np.arange(0.0, 30.0, 0.008)
+        th = np.arange(0.0, 30.0, 0.0167)
+        seen = np.maximum(self.way(th - self.late), 0.0)
+        seen += self.bias * (seen > 0.0) + 25e-6 * random.standard_normal(th.size)
+        return Signal(t, force), Signal(tt, 0.05 - self.way(tt)), Signal(th, seen)
+
+    def off(self, *, seen: bool) -> float:
+        """Return by how much the touch is found too low [m]."""
+        force, tool, height = self.signals()
+        return 0.05 - segment(force, tool, height if seen else None).contact_height
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('hum', [0.05, 0.08])
+def test_a_touch_that_a_hum_hides_is_where_the_surface_starts_to_move(hum, seed) -> None:
+    slow = Slow(hum=hum, seed=seed)
+    assert abs(slow.off(seen=True)) < 3e-5
+    assert abs(slow.off(seen=False)) > 2e-4
+
+
+@pytest.mark.parametrize(
+    'range_sensor', [{'late': 0.3}, {'late': -0.3}, {'bias': 3e-4}, {'bias': -3e-4}]
+)
+def test_a_range_sensor_that_is_off_moves_no_touch_that_the_force_shows(range_sensor) -> None:
+    """The force has risen before what is late, and has not where it is early."""
+    sharp = Slow(power=1.0, **range_sensor)
+    assert sharp.off(seen=True) == sharp.off(seen=False)
+    assert abs(sharp.off(seen=True)) < 5e-5
+
+
+@pytest.mark.parametrize('seen', [True, False])
+def test_the_tools_own_mass_is_no_touch(seen) -> None:
+    """The load cell feels the tool speed up in the air: here by a third of the largest force."""
+    heavy = Slow(power=1.0, mass=3500.0)
+    assert abs(heavy.off(seen=seen)) < 5e-5
+
+
 def test_phases_do_not_depend_on_the_units_of_force_nor_on_its_zero() -> None:
     trial = measured('standard solid')
     found = segment(trial.force, trial.height)

@@ -20,6 +20,7 @@ from hapticvision_ros.core.fit.data import planned, prepare, suspects, tool_path
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 PHASES = Segmentation(1.0, 3.0, 13.0, 13.1, 20.0, 0.04, 0.0, 0.003, 0.006)
 
@@ -56,6 +57,54 @@ def test_a_curved_path_is_followed_within_the_noise() -> None:
     inside = (t > 0.5) & (t < 16.0) & (np.abs(t - 3.0) > 0.004)
     off = path.at(t[inside]) - bent[inside]
     assert np.sqrt(np.mean(off**2)) < 5e-6
+
+
+def _served(t: np.ndarray, speed: float, duration: float, lag: float) -> np.ndarray:
+    """
+    Return the way of an arm that stops at 3 s and withdraws at 13 s, by its equation of motion.
+
+    Its servo follows what is commanded, which is accelerated evenly, with a first-order lag.
+    """
+    step = 1e-5
+    fine = np.arange(-1.0, t[-1] + step, step)
+    ramps = [3.0 - duration, 3.0, 13.0, 13.0 + duration]
+    commanded = np.interp(fine, ramps, [speed, 0.0, 0.0, -0.02])
+    followed = commanded
+    if lag:
+        keep = np.exp(-step / lag)
+        followed = lfilter([1.0 - keep], [1.0, -keep], commanded, zi=[keep * speed])[0]
+    way = np.cumsum(followed) * step
+    return np.interp(t, fine, way - np.interp(0.0, fine, way)) - 0.001
+
+
+@pytest.mark.parametrize('lag', [0.0, 0.012, 0.03])
+@pytest.mark.parametrize('duration', [0.004, 0.05])
+def test_how_a_servo_follows_is_seen_through_encoders_that_round(duration, lag) -> None:
+    """Steps of 2 um: a stop over 50 ms is followed to a third of them, whatever the servo."""
+    t = np.arange(0.0, 14.5, 0.004)
+    way = _served(t, 0.0035, duration, lag)
+    path = tool_path(Signal(t, np.round(way / 2e-6) * 2e-6), PHASES)
+    near = np.arange(2.8, 3.3, 5e-4)
+    off = path.at(near) - _served(near, 0.0035, duration, lag)
+    # But for where the whole way is.
+    off -= np.mean(off)
+    assert np.sqrt(np.mean(off**2)) < (7e-7 if duration > 0.01 or lag else 1e-6)
+
+
+@pytest.mark.parametrize('speed', [0.001, 0.0035])
+def test_how_a_tool_comes_to_rest_tells_where_it_rests_within_a_step(speed) -> None:
+    """All readings of a rest are alike, and their mean no better than one: here steps of 10 um."""
+    t = np.arange(0.0, 14.5, 0.004)
+    way = _served(t, speed, 0.1, 0.0)
+    still, just = (t > 4.0) & (t < 12.0), (t > 3.06) & (t < 3.2)
+    read_off, path_off = [], []
+    for shift in np.linspace(0.0, 1e-5, 16, endpoint=False):
+        moved = way + shift
+        read = np.round(moved / 1e-5) * 1e-5
+        read_off.append((read - moved)[still][0])
+        path_off.append((tool_path(Signal(t, read), PHASES).at(t[just]) - moved[just])[0])
+    assert np.std(read_off) == pytest.approx(1e-5 / np.sqrt(12.0), rel=0.05)
+    assert np.std(path_off) < 0.7 * np.std(read_off)
 
 
 def test_clean_encoders_are_followed_exactly() -> None:

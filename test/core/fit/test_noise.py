@@ -1,0 +1,48 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a sensor rounds is told from its readings."""
+
+from hapticvision_ros.core.fit.noise import rounding
+import numpy as np
+import pytest
+
+T = np.arange(0.0, 10.0, 0.008)
+STEP = 5e-6
+
+
+def way(*speeds: float) -> np.ndarray:
+    """Return the way of a tool with some speeds in turn, each for as long, and a rest at last."""
+    corners = np.linspace(0.0, 8.0, len(speeds) + 1)
+    done = np.concatenate(([0.0], np.cumsum(np.multiply(speeds, np.diff(corners)))))
+    return np.interp(T, corners, done)
+
+
+@pytest.mark.parametrize('speeds', [(0.0011, 0.0047), (0.0007213,), (0.0045, 0.00073)])
+@pytest.mark.parametrize('digits', [np.float64, np.float32])
+def test_steps_of_the_encoders_are_seen(speeds, digits) -> None:
+    """Also those of a slow tool, which go on by one or two of them."""
+    read = 0.04 - np.round(way(*speeds) / STEP) * STEP
+    assert rounding(read.astype(digits).astype(np.float64)) == pytest.approx(
+        STEP / np.sqrt(12.0), rel=1e-3
+    )
+
+
+def test_no_steps_are_seen_where_there_are_none() -> None:
+    noise = np.random.default_rng(0).standard_normal(T.size)
+    assert rounding(way(0.0011, 0.0047) + 1e-6 * noise) == 0.0
+    # A tool that is not measured goes on evenly, which is no rounding.
+    assert rounding(way(0.001, 0.002)) == 0.0
+    assert rounding(np.zeros(100)) == 0.0
+    assert rounding(np.array([0.0, 1.0])) == 0.0
