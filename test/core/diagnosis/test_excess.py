@@ -16,12 +16,14 @@
 """What is left in no smooth form is seen by its loudness."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.diagnosis.excess import Excess, louder
-from hapticvision_ros.core.records import Trial
+from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
 from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
 import pytest
 
 
@@ -61,3 +63,17 @@ def test_without_a_height_the_force_alone_is_held_against_its_noise(
     heard: Any, without_height: Callable[[Trial], Trial]
 ) -> None:
     assert heard(Undeclared('height_gain', (-0.07,)), change=without_height) == ()
+
+
+def test_a_coarse_load_cell_that_reads_the_same_in_air_is_not_louder_in_contact(
+    world: Any, heard: Any
+) -> None:
+    """Steps of five times the noise: without contact hardly any reading differs from zero."""
+    force = peak_force(world.campaign())
+    step, zero = 0.025 * force, 0.02 * force
+
+    def rounded(trial: Trial) -> Trial:
+        value = np.round((trial.force.value - zero) / step) * step
+        return replace(trial, force=Signal(trial.force.t, value))
+
+    assert heard(change=rounded) == ()

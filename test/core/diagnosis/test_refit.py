@@ -25,9 +25,11 @@ from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
 from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, strength
 from hapticvision_ros.core.diagnosis.structure import GATE, look
 from hapticvision_ros.core.effects import EFFECTS
-from hapticvision_ros.core.fit.campaign import Problem
+from hapticvision_ros.core.fit.campaign import fit_prepared, in_order, line_spectrum, Problem
 from hapticvision_ros.core.fit.least_squares import covariance
 from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.records import Signal, Trial
+from hapticvision_ros.sim.campaigns import peak_force
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
@@ -355,3 +357,60 @@ def test_scatter_moves_a_trial_as_the_shared_parameters_would(quiet: Bench) -> N
     np.testing.assert_allclose(one.force, other.force, rtol=1e-12, atol=1e-12)
     same = problem.predict(moved, 0, directions=False)
     assert not np.allclose(same.force, problem.predict(shared, 0, directions=False).force)
+
+
+@pytest.mark.parametrize('times', [0.1, 8.0])
+def test_the_unit_that_the_base_model_shows_is_the_first(world: Any, times: float) -> None:
+    """Two units in series are one body by either name: the second may be the slower one."""
+    K_2 = 6.0 * world.body.K1
+    second = Undeclared('second_retardation', (K_2, 6.0 * times * world.body.C1))
+    measured = world.measure(world.campaign(hold=20.0, recover=12.0), second, seed=4)
+    bench, base = measured.bench()
+    model = Model(('second_retardation',))
+    refit = bench.refit(model, base)
+    assert refit is not None
+    fitted = fit_prepared(base.problem.trials, model)
+    for K1, C1, C2, found_K_2, C_3 in (model.values(refit.theta), model.values(fitted.theta)):
+        body = (world.body.K1, world.body.C1, world.body.C2)
+        assert pytest.approx(body, rel=0.03) == (K1, C1, C2)
+        assert (found_K_2, C_3) == pytest.approx(second.values, rel=0.2)
+
+
+def test_the_other_name_of_a_body_is_the_same_to_the_data(world: Any) -> None:
+    second = Undeclared('second_retardation', (6000.0, 43200.0))
+    measured = world.measure(world.campaign(hold=20.0, recover=12.0), second, seed=4)
+    bench, base = measured.bench()
+    refit = bench.refit(Model(('second_retardation',)), base)
+    assert refit is not None
+    values = refit.model.values(refit.theta)
+    other = refit.state.copy()
+    other[: values.size] = refit.model.theta(values[[3, 4, 2, 0, 1]])
+    bodies = dict(zip(refit.model.names, values.tolist(), strict=True))
+    back = in_order(refit.problem, other, bodies)
+    assert refit.model.values(back[: values.size]) == pytest.approx(values, rel=1e-3)
+    assert in_order(refit.problem, refit.state, bodies) is refit.state
+
+
+def test_a_power_of_one_is_started_from_near_one(lacking: Bench) -> None:
+    """A thinning body differs from a dashpot by how far its index is from one, not from zero."""
+    bench, base = lacking
+    _, starts = bench.guesses(Model(('shear_thinning',)), base)
+    indices = [Model(('shear_thinning',)).values(state[:4])[3] for state in starts]
+    assert np.min(np.abs(np.array(indices) - 1.0)) < 0.01
+    assert bench.promise(Model(('shear_thinning',)), base) > 0.0
+
+
+def test_a_line_is_found_where_samples_are_missing(world: Any) -> None:
+    """Every fiftieth: counted by samples, a hum of 8.1 Hz would be one of 7.9 to 8.1."""
+
+    def thinned(trial: Trial) -> Trial:
+        kept = np.random.default_rng(0).random(len(trial.force)) > 0.02
+        return replace(trial, force=Signal(trial.force.t[kept], trial.force.value[kept]))
+
+    force = peak_force(world.campaign())
+    hum = Undeclared('periodic_disturbance', (0.004 * force, 8.1))
+    measured = world.measure(world.campaign(hold=20.0), hum, seed=5, change=thinned)
+    _, base = measured.bench()
+    line = line_spectrum(base.problem, base.state)
+    assert line.frequency == pytest.approx(8.1, abs=0.01)
+    assert line.chance < 1e-6
