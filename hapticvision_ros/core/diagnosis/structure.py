@@ -174,8 +174,9 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
         # How the tool changes its speed between two samples of its encoders is not known.
         reach = _UNKNOWN * trial.path.interval
         for first, last in runs(sudden):
-            early, late = trial.t[first] - reach, trial.t[last] + reach
-            near[np.searchsorted(trial.t[1:], early) : np.searchsorted(trial.t[:-1], late)] = True
+            start = int(np.searchsorted(trial.t[1:], trial.t[first] - reach))
+            stop = int(np.searchsorted(trial.t[:-1], trial.t[last] + reach))
+            near[start:stop] = True
         calm.append(~near)
     return calm
 

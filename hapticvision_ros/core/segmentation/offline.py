@@ -163,10 +163,11 @@ def segment(
     motion = _find_motion(record, contact.t, x_contact, options)
     if displacement_height is not None and not contact.warnings and motion[0] is not None:
         seen = _seen_by_height(record, contact, x_contact, motion[0], displacement_height)
-        if seen is not contact and seen.t is not None:
+        if seen is not contact:
             contact = seen
-            x_contact = float(np.interp(seen.t, record.tx, record.x))
-            motion = _find_motion(record, seen.t, x_contact, options)
+            assert contact.t is not None
+            x_contact = float(np.interp(contact.t, record.tx, record.x))
+            motion = _find_motion(record, contact.t, x_contact, options)
     t_hold, t_release, t_stop, level, notes = motion
     warnings += notes
     if t_hold is not None and t_release is not None:
@@ -278,8 +279,9 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     begin = 0
     while True:
         # The block before may have risen already in its last samples.
-        first = max(int(np.argmax(before[begin // block :] > base + threshold)) - 1, 0) * block
-        first += begin // block * block
+        skipped = begin // block
+        risen = int(np.argmax(before[skipped:] > base + threshold))
+        first = (skipped + max(risen - 1, 0)) * block
         high = first + int(np.argmax(f[first:] > base + threshold))
         again = _calm_again(record, calm, high, min((peak + 1) * block, f.size))
         if again is None:
@@ -354,16 +356,17 @@ def _seen_by_height(
     after = int(np.argmax(np.maximum.accumulate(record.x) > x_touch))
     beside = slice(max(after - 1, 0), after + 1)
     t_touch = float(np.interp(x_touch, record.x[beside], record.tx[beside]))
-    first, last = np.searchsorted(record.tf, sorted((t_touch, contact.t))).tolist()
+    between = min(t_touch, contact.t), max(t_touch, contact.t)
+    first, last = np.searchsorted(record.tf, between).tolist()
     # The end of what is asked about has the most force of it; blocks of that length before it have
     # the same slow noise and hum.
     size = min(last - first, first // _FEWEST)
     if size < _FEWEST:
         return contact
     blocks = min(first // size, _BLOCKS)
-    before = record.f[first - blocks * size : first]
-    means = before.reshape(blocks, size).mean(axis=1)
-    risen = float(record.f[last - size : last].mean() - means.mean())
+    start, end = first - blocks * size, last - size
+    means = record.f[start:first].reshape(blocks, size).mean(axis=1)
+    risen = float(record.f[end:last].mean() - means.mean())
     error_risen = float(means.std(ddof=1)) * math.sqrt(1.0 + 1.0 / blocks)
     if t_touch < contact.t:
         agrees = risen > _MOVED * error_risen
