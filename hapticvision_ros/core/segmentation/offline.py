@@ -159,15 +159,15 @@ def segment(
         return Segmentation(
             None, None, None, None, t_end, None, middle, None, None, tuple(warnings)
         )
-    x_contact = float(np.interp(contact.t, record.tx, record.x))
-    motion = _find_motion(record, contact.t, x_contact, options)
+    t_contact = contact.t
+    x_contact = float(np.interp(t_contact, record.tx, record.x))
+    motion = _find_motion(record, t_contact, x_contact, options)
     if displacement_height is not None and not contact.warnings and motion[0] is not None:
         seen = _seen_by_height(record, contact, x_contact, motion[0], displacement_height)
-        if seen is not contact:
-            contact = seen
-            assert contact.t is not None
-            x_contact = float(np.interp(contact.t, record.tx, record.x))
-            motion = _find_motion(record, contact.t, x_contact, options)
+        if seen is not contact and seen.t is not None:
+            contact, t_contact = seen, seen.t
+            x_contact = float(np.interp(t_contact, record.tx, record.x))
+            motion = _find_motion(record, t_contact, x_contact, options)
     t_hold, t_release, t_stop, level, notes = motion
     warnings += notes
     if t_hold is not None and t_release is not None:
@@ -188,13 +188,13 @@ def segment(
         )
     depth = push_speed = None
     t_deepest = t_hold if t_hold is not None else t_release
-    if t_deepest is not None and t_deepest > contact.t:
+    if t_deepest is not None and t_deepest > t_contact:
         depth = level - x_contact
-        push_speed = depth / (t_deepest - contact.t)
-    elif t_deepest is None and t_end > contact.t:
-        push_speed = (level - x_contact) / (t_end - contact.t)
+        push_speed = depth / (t_deepest - t_contact)
+    elif t_deepest is None and t_end > t_contact:
+        push_speed = (level - x_contact) / (t_end - t_contact)
     return Segmentation(
-        t_contact=contact.t,
+        t_contact=t_contact,
         t_hold=t_hold,
         t_release=t_release,
         t_loss=t_loss,
@@ -339,7 +339,7 @@ def _seen_by_height(
     value = despike(possible(height))
     air = value[height.t < contact.t]
     pressed = (height.t > contact.t + (t_hold - contact.t) / 3.0) & (height.t < t_hold)
-    if min(air.size, np.count_nonzero(pressed)) < _FEWEST:
+    if min(air.size, int(np.count_nonzero(pressed))) < _FEWEST:
         return contact
     level = float(np.median(air))
     noise = NORMAL_FROM_MAD * float(np.median(np.abs(air - level)))
@@ -357,7 +357,7 @@ def _seen_by_height(
     beside = slice(max(after - 1, 0), after + 1)
     t_touch = float(np.interp(x_touch, record.x[beside], record.tx[beside]))
     between = min(t_touch, contact.t), max(t_touch, contact.t)
-    first, last = np.searchsorted(record.tf, between).tolist()
+    first, last = (int(place) for place in np.searchsorted(record.tf, between))
     # The end of what is asked about has the most force of it; blocks of that length before it have
     # the same slow noise and hum.
     size = min(last - first, first // _FEWEST)
