@@ -125,7 +125,7 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     alike = _alike(found.force_noise, first.interval)
     height_alike = _alike(found.height_noise, first.height_interval)
     # A coarse load cell may read the same without contact, and round in it.
-    coarse = max(rounding(trial.samples.force) for trial in problem.trials)
+    coarse = max(rounding(t.samples.force[t.samples.good]) for t in problem.trials)
     held = (
         _held('force', forces, alike, least_force, coarse),
         _held('displacement height', heights, height_alike, least_height),

@@ -193,7 +193,8 @@ def _shown(trial: FitTrial) -> bool:
     return any(
         bend.duration + 2.0 * bend.lag > _RESOLVED * trial.path.interval
         for bend in trial.path.bends
-        if bend.t > trial.t_contact and (trial.t_release is None or bend.stop < trial.t_release)
+        if bend.t > trial.t_contact
+        and (trial.t_release is None or bend.t + 0.5 * bend.duration < trial.t_release)
     )
 
 

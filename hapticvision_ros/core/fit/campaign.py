@@ -753,9 +753,12 @@ def in_order(problem: Problem, state: FloatArray, base: Mapping[str, float]) -> 
     exchanged[: problem.p] = np.clip(model.theta(values), *model.bounds)
     residual, _ = problem.evaluate(state)
     # Another effect may act on one of the two alone.
-    found = minimise(
-        problem.evaluate, exchanged, problem.bounds, tolerance=1e-4, max_evaluations=_LOOKS
-    )
+    try:
+        found = minimise(
+            problem.evaluate, exchanged, problem.bounds, tolerance=1e-4, max_evaluations=_LOOKS
+        )
+    except NotFiniteError:
+        return state
     return found.theta if found.cost < float(residual @ residual) + _SAME else state
 
 

@@ -233,7 +233,13 @@ class Bend:
 
     def beyond(self, t: FloatArray) -> FloatArray:
         """Return by how much the path is beyond the straight pieces at times within [m]."""
-        return self.turn * _rounded(t - self.t, np.array([self.duration]), self.lag)
+        duration = np.array([self.duration])
+        beyond = _rounded(t - self.t, duration, self.lag)
+        if self.lag > 0.0:
+            # What a lag leaves at its end would be a jump of the tool.
+            left = _rounded(np.array([self.stop - self.t]), duration, self.lag)
+            beyond -= left * (t - self.start) / (self.stop - self.start)
+        return self.turn * beyond
 
 
 def _rounded(away: FloatArray, duration: FloatArray, lag: float) -> FloatArray:
@@ -377,9 +383,9 @@ class FitTrial:
             return None
         fine = self.interval / _PARTS
         bent = [
-            np.arange(bend.start, bend.stop, fine)
+            np.arange(bend.start, bend.start + bend.duration + 2.0 * bend.lag, fine)
             for bend in self.path.bends
-            if bend.stop - bend.start < _QUICK * self.interval
+            if bend.duration + 2.0 * bend.lag < _QUICK * self.interval
         ]
         t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
@@ -1024,7 +1030,8 @@ def _bend(
         if np.count_nonzero(inside) < edge:
             return None
         lines.append(_line(t[inside], value[inside], np.ones(np.count_nonzero(inside))))
-        reading = float(np.median(value[inside]))
+        # One of the readings, also where as many are at the next.
+        reading = float(np.quantile(value[inside], 0.5, method='lower'))
         if coarse > 0.0 and np.mean(np.abs(value[inside] - reading) < coarse) > _STILL:
             rest = k
             lines[k] = reading, 0.0

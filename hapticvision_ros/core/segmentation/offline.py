@@ -276,15 +276,15 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
     calm = f <= base + max(least, 0.01 * amplitude)
-    begin = 0
+    begin, end = 0, min((peak + 1) * block, f.size)
     while True:
         # The block before may have risen already in its last samples.
         skipped = begin // block
         risen = int(np.argmax(before[skipped:] > base + threshold))
-        first = (skipped + max(risen - 1, 0)) * block
+        first = max((skipped + max(risen - 1, 0)) * block, begin)
         high = first + int(np.argmax(f[first:] > base + threshold))
-        again = _calm_again(record, calm, high, min((peak + 1) * block, f.size))
-        if again is None:
+        again = _calm_again(record, calm, high, end)
+        if again is None or again >= end:
             break
         begin = again
     quiet = np.flatnonzero(calm[: high + 1])

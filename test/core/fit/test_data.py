@@ -16,7 +16,14 @@
 
 from dataclasses import replace
 
-from hapticvision_ros.core.fit.data import planned, prepare, suspects, tool_path
+from hapticvision_ros.core.fit.data import (
+    Bend,
+    planned,
+    prepare,
+    suspects,
+    tool_path,
+    ToolPath,
+)
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 import pytest
@@ -89,6 +96,13 @@ def test_how_a_servo_follows_is_seen_through_encoders_that_round(duration, lag) 
     # But for where the whole way is.
     off -= np.mean(off)
     assert np.sqrt(np.mean(off**2)) < (7e-7 if duration > 0.01 or lag else 1e-6)
+
+
+def test_a_servos_lag_ends_without_a_jump_of_the_tool() -> None:
+    bend = Bend(1.0, 0.01, -0.05, 0.02)
+    path = ToolPath(np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.05, 0.05]), 1e-6, (bend,), 1e-3)
+    t = np.arange(bend.stop - 0.01, bend.stop + 0.01, 1e-5)
+    assert np.abs(np.diff(path.at(t))).max() < 1e-5 * 2e-4
 
 
 @pytest.mark.parametrize('speed', [0.001, 0.0035])
