@@ -644,18 +644,24 @@ def test_the_tools_own_mass_is_no_touch(seen) -> None:
     assert abs(heavy.off(seen=seen)) < 5e-5
 
 
-@pytest.mark.parametrize('ring', [0.8, 1.0])
-@pytest.mark.parametrize('largest', [False, True])
-def test_a_start_that_rings_at_a_high_rate_ends_the_search(ring, largest) -> None:
+@pytest.mark.parametrize(
+    ('count', 'knocks', 'push'),
+    [(200_000, [(0, 14, 2.0), (32, 46, 1.6)], 2.0), (400_000, [(0, 40, 20.0)], 0.5)],
+)
+def test_a_start_that_rings_at_a_high_rate_ends_the_search(count, knocks, push) -> None:
     """More than 68,000 samples are looked at in blocks; a knock may be the largest force."""
-    t = np.arange(0.0, 10.0, 5e-5)
-    travel = 0.02 * np.clip(t - 2.0, 0.0, 3.5)
-    force = 2.0 * np.clip((t - 5.0) / 0.5, 0.0, 1.0) * (0.2 if largest else 1.0)
-    force += 2e-3 * np.random.default_rng(0).standard_normal(t.size)
-    force[40001:40016] += 20.0 if largest else 2.0
-    force[40033:40048] += ring * (20.0 if largest else 2.0)
-    found = segment(Signal(t, force), Signal(t[::40], 0.1 - travel[::40]))
-    assert found.t_contact is not None
+    random = np.random.default_rng(0)
+    t = np.arange(count) / 20e3
+    start, touch, stop = (share * t[-1] for share in (0.2, 0.5, 0.7))
+    travel = 0.02 * (np.clip(t, start, stop) - start) + 1e-7 * random.standard_normal(count)
+    force = push * np.clip((t - touch) / (stop - touch), 0.0, 1.0)
+    force += 2e-3 * random.standard_normal(count)
+    block = count // 4000
+    begin = int(20e3 * start) // block * block + block + 1
+    for first, last, height in knocks:
+        inside = slice(begin + first, begin + last)
+        force[inside] += height
+    assert segment(Signal(t, force), Signal(t, 0.1 - travel)).t_contact is not None
 
 
 def test_phases_do_not_depend_on_the_units_of_force_nor_on_its_zero() -> None:
