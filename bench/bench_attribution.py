@@ -63,7 +63,14 @@ from hapticvision_ros.sim.campaigns import (
 )
 from hapticvision_ros.sim.config import load_config
 from hapticvision_ros.sim.offline import CloudPlan
-from hapticvision_ros.sim.specimen import Body, LIBRARY, OUTSIDE, Undeclared
+from hapticvision_ros.sim.specimen import (
+    Body,
+    LAW_OF,
+    LIBRARY,
+    OTHER_LAWS,
+    OUTSIDE,
+    Undeclared,
+)
 from hapticvision_ros.sim.strengths import LinearMisfit, strength_for, undeclared
 import numpy as np
 from page import renew
@@ -77,6 +84,8 @@ NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
 """Rate at which encoders follow an arm [Hz]."""
+LAW = 'another law'
+"""What a campaign of `OTHER_LAWS` is."""
 CANNOT = {'force_saturation', 'force_quantisation'}
 """Outside effects that are not smooth enough to be scaled to a misfit."""
 
@@ -287,17 +296,17 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     common = {'world': args.world, 'scatter': args.scatter, 'clouds': args.clouds}
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effects': [], 'r': 0.0}
-    names = args.effects or [*(OUTSIDE if args.outside else LIBRARY)]
-    names = [name for name in names if name not in CANNOT]
+    every = OTHER_LAWS if args.laws else OUTSIDE if args.outside else LIBRARY
+    chosen = [name for name in args.effects or every if name not in CANNOT]
     for seed in range(args.first, args.first + args.seeds):
         for r in args.r:
             if args.pairs:
                 random = np.random.default_rng((seed, 99))
                 for _ in range(args.pairs):
-                    pair = random.choice(names, 2, replace=False)
+                    pair = random.choice(chosen, 2, replace=False)
                     yield {**common, 'seed': seed, 'effects': sorted(map(str, pair)), 'r': r}
                 continue
-            for name in names:
+            for name in chosen:
                 yield {**common, 'seed': seed, 'effects': [name], 'r': r}
 
 
@@ -319,6 +328,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--r', type=float, nargs='+', default=[0.3])
     made.add_argument('--effects', nargs='+', default=[])
     made.add_argument('--outside', action='store_true', help='effects outside the library')
+    made.add_argument('--laws', action='store_true', help='effects by other laws')
     made.add_argument('--pairs', type=int, default=0, help='random pairs a seed')
     made.add_argument('--workers', type=int, default=1)
     made.add_argument('--plan', action='store_true', help='all that the page is made of')
@@ -385,8 +395,13 @@ def right(result: dict[str, Any], most: int = 2) -> bool:
         return result['status'] in ('unexplained', 'partly_explained')
     return all(
         any(name in each and len(each) <= most for each in result['sets'])
-        for name in result['effects']
+        for name in names(result)
     )
+
+
+def names(result: dict[str, Any]) -> list[str]:
+    """Return what the acting effects are called, by whatever law they act."""
+    return [LAW_OF.get(name, name) for name in result['effects']]
 
 
 def kind(result: dict[str, Any]) -> str:
@@ -395,6 +410,8 @@ def kind(result: dict[str, Any]) -> str:
         return 'none'
     if set(result['effects']) <= set(OUTSIDE):
         return 'outside'
+    if set(result['effects']) <= set(OTHER_LAWS):
+        return LAW
     return 'pair' if len(result['effects']) > 1 else 'one'
 
 
@@ -422,15 +439,16 @@ def rates(results: list[dict[str, Any]]) -> list[str]:
     for r in results:
         groups.setdefault((r['world'], r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
     for (world, clouds, scatter, what, size), of in sorted(groups.items()):
-        singles = [each[0] in r['effects'] for r in of for each in r['sets'] if len(each) == 1]
-        named = bool(singles) and what in ('one', 'pair')
-        good = [r for r in of if what in ('one', 'pair') and right(r)]
+        singles = [each[0] in names(r) for r in of for each in r['sets'] if len(each) == 1]
+        traced = what in ('one', 'pair', LAW)
+        named = bool(singles) and traced
+        good = [r for r in of if traced and right(r)]
         cells = [
             f'{world}{", clouds" if clouds else ""}{f", scatter {scatter:g}" if scatter else ""}',
             what,
             f'{size:g}' if what != 'none' else '-',
             percent(right(r) for r in of),
-            percent(right(r, 20) for r in of) if what in ('one', 'pair') else '-',
+            percent(right(r, 20) for r in of) if traced else '-',
             percent(r['status'] != 'none' for r in of),
             percent(singles) if named else '-',
             ' to '.join(
@@ -458,10 +476,12 @@ def confusion(results: list[dict[str, Any]], r: float) -> list[str]:
         'named, as not testable | nothing named otherwise | other names given alone |',
         '| --- ' * 8 + '|',
     ]
-    for name in LIBRARY:
+    for name in (*LIBRARY, *OTHER_LAWS):
         of = [each for each in results if each['effects'] == [name] and each['r'] == r]
-        sizes = [min((len(s) for s in each['sets'] if name in s), default=0) for each in of]
-        others = Counter(s[0] for each in of for s in each['sets'] if len(s) == 1 and s[0] != name)
+        effect = LAW_OF.get(name, name)
+        sizes = [min((len(s) for s in each['sets'] if effect in s), default=0) for each in of]
+        singles = [s[0] for each in of for s in each['sets'] if len(s) == 1]
+        others = Counter(single for single in singles if single != effect)
         told = ', '.join(f'{other} {count}' for other, count in others.most_common()) or '-'
         cells = [
             sizes.count(1),

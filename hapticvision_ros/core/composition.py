@@ -29,7 +29,7 @@ from itertools import islice
 import math
 from typing import Final
 
-from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import (
     Draft,
     DrivenTrial,
@@ -37,6 +37,7 @@ from hapticvision_ros.core.effects.declaration import (
     EffectParameter,
     Prediction,
     Scale,
+    without_law,
 )
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
@@ -108,15 +109,16 @@ class Model:
         for name in self.effects:
             if name not in BY_NAME:
                 raise UsageError(f'there is no effect {name!r}: choose among {", ".join(BY_NAME)}')
-            if self.effects.count(name) > 1:
-                raise UsageError(f'the effect {name!r} is named twice: name it once')
+            named = without_law(name)
+            if [without_law(each) for each in self.effects].count(named) > 1:
+                raise UsageError(f'the effect {named!r} is named twice: name it once')
             for other in BY_NAME[name].excludes:
                 if other in self.effects:
                     raise UsageError(
                         f'{name!r} and {other!r} both take the place of the dashpot C2: '
                         f'choose one of them'
                     )
-        ordered = tuple(effect.name for effect in EFFECTS if effect.name in self.effects)
+        ordered = tuple(effect.name for effect in EVERY_LAW if effect.name in self.effects)
         object.__setattr__(self, 'effects', ordered)
 
     @classmethod
@@ -154,7 +156,7 @@ class Model:
     def names(self) -> tuple[str, ...]:
         """Return the p names: symbols, told apart as `effect.symbol` where two are alike."""
         owned = [(BASE, p.symbol) for p in BASE_PARAMETERS]
-        owned += [(e.name, p.symbol) for e in self.declared for p in e.parameters]
+        owned += [(e.named, p.symbol) for e in self.declared for p in e.parameters]
         symbols = [symbol for _, symbol in owned]
         return tuple(
             symbol if symbols.count(symbol) == 1 else f'{owner}.{symbol}'

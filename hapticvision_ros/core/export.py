@@ -163,7 +163,7 @@ def _owners(model: Model) -> tuple[str, ...]:
     """Return the effect that each parameter belongs to."""
     owners = [BASE] * len(BASE_PARAMETERS)
     for effect in model.declared:
-        owners += [effect.name] * len(effect.parameters)
+        owners += [effect.named] * len(effect.parameters)
     return tuple(owners)
 
 
@@ -275,7 +275,7 @@ def links(model: Model, parameters: Mapping[str, float]) -> dict[str, Any]:
                 },
             }
             for effect in model.declared
-            if effect.name in _LAWS
+            if effect.named in _LAWS
         },
     }
 

@@ -223,7 +223,7 @@ def relaxation_function(
 
     """
     for effect in model.declared:
-        if effect.kind == 'object' and effect.name not in LINEAR | NONLINEAR | _BESIDE:
+        if effect.kind == 'object' and effect.named not in LINEAR | NONLINEAR | _BESIDE:
             raise UsageError(f'{effect.name} has no relaxation function in this version')
     nonlinear = [name for name in model.effects if name in NONLINEAR]
     if nonlinear and point is None:

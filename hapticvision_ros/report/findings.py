@@ -15,6 +15,7 @@
 """A diagnosis in plain words, for the command line and the report."""
 
 from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis, NextTrial
+from hapticvision_ros.core.effects.declaration import LAW
 from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
 
 
@@ -45,6 +46,11 @@ def findings(diagnosis: Diagnosis, units: UnitSystem) -> list[str]:
                 f'These trials cannot tell {leader} from {_listed(others, "or")}: any one of '
                 f'them may be the cause.'
             )
+    for name in diagnosis.laws:
+        effect, _, law = name.partition(LAW)
+        sentences.append(
+            f'It is {effect} by another law than the usual one: {law.replace("_", " ")}.'
+        )
     if diagnosis.unexplained is not None:
         share = format_number(100.0 * diagnosis.unexplained.share_of_chi2, digits=2)
         sentences.append(

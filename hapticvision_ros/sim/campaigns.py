@@ -809,6 +809,11 @@ def _load_cell(
         force = force + coulomb * _dahl(
             travel, np.round(speed, 12), parameter(vector, 'stiction', 'travel')
         )
+    coulomb = parameter(vector, 'contact_friction', 'F_c')
+    if coulomb != 0.0:
+        touched = (middle > history.t_touch) & ~(middle > history.t_loss)
+        force = force + coulomb * np.sign(np.round(speed, 12)) * touched
+    force = force + parameter(vector, 'tool_mass', 'M') * motion.at(middle)[2]
     amplitude = parameter(vector, 'knock', 'amplitude')
     if amplitude != 0.0 and index == len(campaign.pushes) // 2:
         push = campaign.pushes[index]
@@ -847,4 +852,7 @@ def _range_sensor(
     height = np.interp(t, history.t, history.surface)
     height *= 1.0 + parameter(vector, 'height_gain', 'share')
     below = motion.at(t)[0] + offset > 0.0
+    clearance = parameter(vector, 'early_shadow', 'clearance')
+    near = motion.at(t)[0] + offset > -clearance
+    height += parameter(vector, 'early_shadow', 'b') * near
     return height + parameter(vector, 'height_bias', 'b') * below

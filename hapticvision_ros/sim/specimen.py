@@ -91,6 +91,32 @@ LIBRARY: Final[Mapping[str, tuple[Quantity, ...]]] = {
 }
 """The effects of the contract."""
 
+OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
+    'stiction': (Quantity('F_c', 'N', 0.0), Quantity('travel', 'm', 1e-4)),
+    'contact_friction': (Quantity('F_c', 'N', 0.0),),
+    'tool_mass': (Quantity('M', 'kg', 0.0),),
+    'early_shadow': (Quantity('b', 'm', 0.0), Quantity('clearance', 'm', 0.0)),
+    'ageing_by_trial': (Quantity('rate', '1/h', 0.0),),
+}
+"""
+Effects of the contract by laws that differ from those of `LIBRARY`.
+
+``stiction``: friction that builds up over `travel` and stays at rest (Dahl);
+``contact_friction``: friction between tool and object only;
+``tool_mass``: inertia of the tool itself, in air as in contact;
+``early_shadow``: the height is biased from when the tool is `clearance` above the object;
+``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it.
+"""
+
+LAW_OF: Final[Mapping[str, str]] = {
+    'stiction': 'friction',
+    'contact_friction': 'friction',
+    'tool_mass': 'inertia',
+    'early_shadow': 'height_bias',
+    'ageing_by_trial': 'ageing',
+}
+"""Whose laws these are."""
+
 OUTSIDE: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'poroelasticity': (Quantity('K_pore', 'N/m', 0.0), Quantity('time', 's', 1.0)),
     'fracture': (Quantity('share', '-', 0.0), Quantity('depth', 'm', math.inf)),
@@ -107,7 +133,6 @@ OUTSIDE: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'unloading_stiffness': (Quantity('share', '-', 0.0), Quantity('speed', 'm/s', 1e-5)),
     'shoulder_contact': (Quantity('K_s', 'N/m', 0.0), Quantity('depth', 'm', math.inf)),
     'backlash': (Quantity('gap', 'm', 0.0),),
-    'stiction': (Quantity('F_c', 'N', 0.0), Quantity('travel', 'm', 1e-4)),
     'cell_creep': (Quantity('share', '-', 0.0), Quantity('time', 's', 1.0)),
     'cell_hysteresis': (Quantity('share', '-', 0.0), Quantity('width', 'N', 1.0)),
     'gain_step': (Quantity('share', '-', 0.0),),
@@ -131,7 +156,6 @@ by `distance` or until half of the force is left;
 ``unloading_stiffness``: K1 is less by `share` while it shortens its stretch;
 ``shoulder_contact``: from `depth` on a spring of the tool's shoulder joins in;
 ``backlash``: the tip follows the encoders only after `gap` when they turn;
-``stiction``: friction that builds up over `travel` and stays at rest (Dahl);
 ``cell_creep``, ``cell_hysteresis``: of the load cell, as a share of its reading;
 ``gain_step``: the load cell's gain is another in the second half of the campaign;
 ``force_saturation``, ``force_quantisation``: of the load cell's converter;
@@ -139,7 +163,7 @@ by `distance` or until half of the force is left;
 ``height_gain``: the range sensor's scale is off.
 """
 
-EFFECTS: Final[Mapping[str, tuple[Quantity, ...]]] = {**LIBRARY, **OUTSIDE}
+EFFECTS: Final[Mapping[str, tuple[Quantity, ...]]] = {**LIBRARY, **OTHER_LAWS, **OUTSIDE}
 """All effects of this world, with their parameters."""
 
 _BASE: Final = ('K1', 'C1', 'C2')
@@ -472,6 +496,7 @@ _N = _SLOTS['shear_thinning', 'n']
 _M_GROWTH = _SLOTS['contact_growth', 'm']
 _D = _SLOTS['damage', 'D']
 _AGE = _SLOTS['ageing', 'rate']
+_AGE_BY_TRIAL = _SLOTS['ageing_by_trial', 'rate']
 _FAD = _SLOTS['adhesion', 'F_ad']
 _MASS = _SLOTS['inertia', 'M']
 _KM = _SLOTS['machine_compliance', 'K_m']
@@ -762,7 +787,8 @@ def _push(  # type: ignore[no-untyped-def]
         whole = grid[i + 1] - grid[i]
         done = 0.0
         in_step = 0
-        factor = np.exp(q[_AGE] / HOUR * (campaign_time + grid[i] + 0.5 * whole))
+        aged = q[_AGE] * (campaign_time + grid[i] + 0.5 * whole)
+        factor = np.exp((aged + q[_AGE_BY_TRIAL] * campaign_time) / HOUR)
         while whole - done > _SHORTEST:
             path[2] = acceleration[i]
             path[1] = speed[i] + acceleration[i] * done

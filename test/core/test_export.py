@@ -18,7 +18,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.effects import EFFECTS
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.export import (
     abaqus,
@@ -101,7 +101,7 @@ def test_each_parameter_of_each_effect_has_a_form_or_a_reason() -> None:
                 assert quantity.estimate.reason
                 assert quantity.symbol is None
                 without.add(effect.name)
-    no_objects = {name for name, effect in BY_NAME.items() if effect.kind != 'object'}
+    no_objects = {effect.name for effect in EFFECTS if effect.kind != 'object'}
     assert without == no_objects | {'inertia', 'adhesion'}
 
 

@@ -212,6 +212,9 @@ class Diagnosis:
         What a reader must know.
     bootstrap : Bootstrap or None
         How often chance does as much; None where it was not asked for.
+    laws : tuple of str
+        Those of the accepted effects that follow another law than the usual one, as
+        ``effect:law``.
 
     """
 
@@ -227,3 +230,4 @@ class Diagnosis:
     after: Fit
     warnings: tuple[str, ...]
     bootstrap: Bootstrap | None = None
+    laws: tuple[str, ...] = ()

@@ -369,9 +369,9 @@ class Workbench:
         begin = carried(near.problem, near.state, problem)
         added = [name for name in model.effects if name not in near.model.effects]
         states = self._starts(problem, begin, near, added)[:-1]
-        if np.array_equal(states[0][: problem.p], begin[: problem.p]):
-            # What has no first guess is seen by a small step.
-            for k in places_of(model, added):
+        # What has no first guess is seen by a small step.
+        for k in places_of(model, added):
+            if states[0][k] == begin[k]:
                 states[0][k] += _SMALL * max(abs(states[0][k]), 1.0)
         return problem, states
 

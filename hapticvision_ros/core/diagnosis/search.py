@@ -22,7 +22,7 @@ accepted is fitted again.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Final
 
@@ -47,10 +47,12 @@ from hapticvision_ros.core.diagnosis.selection import (
     Round,
     select,
     strength,
+    Trialled,
 )
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
-from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
+from hapticvision_ros.core.effects.declaration import LAW, without_law
 from hapticvision_ros.core.fit.campaign import (
     Fit,
     fit_prepared,
@@ -152,6 +154,7 @@ def diagnose(
         effects=outcome.effects,
         sets=outcome.sets,
         not_testable=outcome.not_testable,
+        laws=outcome.laws,
         look_alikes=outcome.look_alikes,
         ranking=outcome.ranking,
         unexplained=outcome.unexplained,
@@ -170,6 +173,7 @@ class _Outcome:
     effects: tuple[str, ...]
     sets: tuple[tuple[str, ...], ...]
     not_testable: tuple[str, ...]
+    laws: tuple[str, ...]
     look_alikes: tuple[tuple[str, str, float], ...]
     ranking: tuple[Candidate, ...]
     unexplained: Unexplained | None
@@ -177,6 +181,10 @@ class _Outcome:
     warnings: tuple[str, ...]
     chosen: Refit
     scatter: FloatArray | None
+
+
+type _Chosen = tuple[Refit, tuple[Round, ...], tuple[str, ...]]
+"""The model, how it came about, and its effects in the order of their adding."""
 
 
 class _Search:
@@ -214,23 +222,27 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        unrepeated = None
+        unrepeated, apart = None, ''
         if scatter is None or scatter.degrees < _FEW_REPEATS:
-            unrepeated = self._unrepeated(bench, base, chosen, scatter)
+            unrepeated, apart = self._unrepeated(bench, base, chosen, scatter)
         if unrepeated is not None:
+            # What takes other laws for scatter must not hide them.
+            chosen, rounds, order = self._further(bench, chosen, rounds, order, names)
+            unrepeated, apart = self._unrepeated(bench, base, chosen, scatter)
+        if unrepeated is not None:
+            self.warnings.append(apart)
             scattered = np.full(3, unrepeated)
             bench = plain.scattering(scattered)
             base = bench.base(self.before)
             chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
+        rest = self._rest(bench, rounds[0].without, chosen, rounds)
+        if rest or order:
+            further = self._further(bench, chosen, rounds, order, names)
+            if further[0] is not chosen:
+                chosen, rounds, order = further
+                rest = self._rest(bench, rounds[0].without, chosen, rounds)
         base = rounds[0].without
-        rest = self._rest(bench, base, chosen, rounds)
-        if rest and len(usual) < len(names):
-            again = self._select(bench, base, names)
-            if again[0].deviance < chosen.deviance - LEAD:
-                chosen, rounds, order = again
-                base = rounds[0].without
-                rest = self._rest(bench, base, chosen, rounds)
         ranking = self._ranking(bench, base, rounds[0])
         sets = [each for each in rounds if each.alike and each.alike[0] in order]
         sets.sort(key=lambda each: order.index(each.alike[0]))
@@ -257,12 +269,14 @@ class _Search:
             status = 'partly_explained' if order else 'unexplained'
             if unexplained is None:
                 unexplained = self._differing(bench, plain, base, chosen, unrepeated)
+        alike = pairs(bench, base, rounds[0].candidates, order)
         return _Outcome(
             status=status,
-            effects=order,
-            sets=tuple(named),
+            effects=_named(order),
+            sets=tuple(map(_named, named)),
             not_testable=(*hidden, LOAD_CELL_GAIN),
-            look_alikes=pairs(bench, base, rounds[0].candidates, order),
+            laws=tuple(name for name in order if LAW in name),
+            look_alikes=_named_pairs(alike),
             ranking=ranking,
             unexplained=unexplained,
             next_trial=self._next(bench, chosen, rounds, order),
@@ -275,12 +289,15 @@ class _Search:
         """Return the effects that the trials can show, and those that they cannot."""
         seen, hidden = list[str](), list[str]()
         tangent = Tangent(bench, base)
-        for effect in EFFECTS:
+        for effect in EVERY_LAW:
             if effect.name == LINE and not self.line:
                 # Without a line in the spectrum a sine would only follow slow noise.
                 continue
+            if without_law(effect.name) in hidden:
+                continue
             shown = not effect.nuisance and visible(bench, base, tangent, effect.name)
-            (seen if shown else hidden).append(effect.name)
+            if shown or LAW not in effect.name:
+                (seen if shown else hidden).append(effect.name)
         return seen, hidden
 
     def _repeats(self, bench: Workbench, base: Refit, names: Sequence[str]) -> Scatter | None:
@@ -317,43 +334,64 @@ class _Search:
         return left if better else scatter
 
     def _select(
-        self, bench: Workbench, base: Refit, names: Sequence[str]
-    ) -> tuple[Refit, tuple[Round, ...], tuple[str, ...]]:
+        self,
+        bench: Workbench,
+        base: Refit,
+        names: Sequence[str],
+        known: Sequence[Trialled] = (),
+    ) -> _Chosen:
         chosen, rounds = select(
             bench,
             base,
             names,
             workers=self.workers,
             progress=lambda name: self.tell(f'trying {name}'),
+            known=known,
         )
         chosen, order = eliminate(bench, chosen, rounds)
         return chosen, rounds, order
 
+    def _further(
+        self,
+        bench: Workbench,
+        chosen: Refit,
+        rounds: tuple[Round, ...],
+        order: tuple[str, ...],
+        names: Sequence[str],
+    ) -> _Chosen:
+        """Return the choice among all effects and laws, if it is clearly better."""
+        first = rounds[0]
+        if all(any(name == each.effect for each in first.candidates) for name in names):
+            return chosen, rounds, order
+        again = self._select(bench, first.without, names, first.candidates)
+        if _worth(bench, again[0]) < _worth(bench, chosen) - LEAD:
+            return again
+        return chosen, rounds, order
+
     def _unrepeated(
         self, bench: Workbench, base: Refit, chosen: Refit, scatter: Scatter | None
-    ) -> float | None:
+    ) -> tuple[float | None, str]:
         """
-        Return the scatter that trials with no or few repeats ask for, if they do.
+        Return the scatter that trials with no or few repeats ask for, if they do, in words too.
 
         Scatter is a rival of every effect: it stands where it explains the trials clearly better
         beside the effects, or as well as they do in their place.
         """
         if len(bench.trials) < 2:
-            return None
+            return None, ''
         size = self._scattering(bench, chosen, chosen.deviance - LEAD)
         if size is None and chosen.model.effects:
             worth = sum(price(bench, name) for name in chosen.model.effects)
             own = math.log(bench.samples)
             size = self._scattering(bench, base, chosen.deviance + worth - own + LEAD)
         if size is None:
-            return None
+            return None, ''
         what = 'without repeats' if scatter is None else 'with so few repeats'
-        self.warnings.append(
+        return size, (
             f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
             f'{100.0 * size:.2g} % from trial to trial: {what} of the same push this '
             f'cannot be told from an effect'
         )
-        return size
 
     def _scattering(self, bench: Workbench, near: Refit, below: float) -> float | None:
         """Return the scatter with which a model has its least deviance, if that is low enough."""
@@ -410,12 +448,14 @@ class _Search:
     ) -> NextTrial | None:
         """Return the push that splits the first set of several, or else sharpens a parameter."""
         for each in rounds:
-            if len(each.alike) < 2 or each.alike[0] not in order:
+            if len(_named(each.alike)) < 2 or each.alike[0] not in order:
                 continue
             refits = {one.effect: one.refit for one in each.candidates}
-            first, second = refits[each.alike[0]], refits[each.alike[1]]
+            other = next(n for n in each.alike if without_law(n) != without_law(each.alike[0]))
+            first, second = refits[each.alike[0]], refits[other]
             if first is not None and second is not None:
-                return suggest(bench, first, second, self.phases, self.limits)
+                found = suggest(bench, first, second, self.phases, self.limits)
+                return None if found is None else replace(found, separates=_named(found.separates))
         return suggest(bench, chosen, None, self.phases, self.limits)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
@@ -425,15 +465,18 @@ class _Search:
             for each in first.candidates
             if each.refit is not None
         }
+        # Of the laws of an effect the one that gains most stands for it.
+        best = {without_law(each.effect): each for each in reversed(first.candidates)}
         return tuple(
             Candidate(
-                effect=each.effect,
+                effect=without_law(each.effect),
                 score=each.score,
                 delta_bic=each.gain,
                 held_out_ratio=plain.get(each.effect),
                 strength=each.strength,
             )
             for each in first.candidates
+            if each is best[without_law(each.effect)]
         )
 
     def _unexplained(
@@ -478,6 +521,28 @@ class _Search:
         )
 
 
+def _worth(bench: Workbench, refit: Refit) -> float:
+    """Return what a model leaves by Schwarz's criterion, constants apart."""
+    return refit.deviance + sum(price(bench, name) for name in refit.model.effects)
+
+
+def _named(effects: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of effects without their laws, each once."""
+    return tuple(dict.fromkeys(map(without_law, effects)))
+
+
+def _named_pairs(
+    alike: Sequence[tuple[str, str, float]],
+) -> tuple[tuple[str, str, float], ...]:
+    """Return pairs of effects by their names, the most alike of each two."""
+    most = dict[tuple[str, str], float]()
+    for one, other, cosine in alike:
+        pair = without_law(one), without_law(other)
+        if pair[0] != pair[1]:
+            most.setdefault(pair, cosine)
+    return tuple((*pair, cosine) for pair, cosine in most.items())
+
+
 def _widened(found: Round) -> tuple[str, ...]:
     """Return the effects that a round cannot tell apart if no model is right."""
     # The first candidate may have been refused.
@@ -517,8 +582,10 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     scatter = found.after.problem.scatter
     bench = Workbench(trials, scatter if scatter.size else None)
     base = bench.base(found.before)
+    laws = {without_law(name): name for name in found.laws}
     # Those that are in a set stay open; of the others, the best.
-    open_ = list(dict.fromkeys(name for alike in found.sets for name in alike))
-    others = [each.effect for each in found.ranking if each.effect not in open_]
+    open_ = list(dict.fromkeys(laws.get(n, n) for alike in found.sets for n in alike))
+    others = [each.effect for each in found.ranking]
+    others = [name for name in others if laws.get(name, name) not in open_]
     chosen, rounds = select(bench, base, [*open_, *others[:_OPEN]])
     return eliminate(bench, chosen, rounds)[0]

@@ -36,7 +36,8 @@ from typing import Final
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
-from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
+from hapticvision_ros.core.effects.declaration import without_law
 from hapticvision_ros.core.fit.campaign import Problem, SHARPEST
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.records import FloatArray
@@ -368,8 +369,10 @@ def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
     """Return the effects that a model can still take."""
     excluded = {other for name in model.effects for other in BY_NAME[name].excludes}
-    excluded |= {e.name for e in EFFECTS if set(e.excludes) & set(model.effects)}
-    return [name for name in names if name not in model.effects and name not in excluded]
+    excluded |= {e.name for e in EVERY_LAW if set(e.excludes) & set(model.effects)}
+    # An effect follows one law.
+    taken = {without_law(name) for name in model.effects}
+    return [name for name in names if without_law(name) not in taken and name not in excluded]
 
 
 def select(
@@ -379,6 +382,7 @@ def select(
     *,
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
+    known: Sequence[Trialled] = (),
 ) -> tuple[Refit, tuple[Round, ...]]:
     """
     Add effects to a model as long as one gains clearly.
@@ -395,6 +399,8 @@ def select(
         Threads.
     progress : callable, optional
         Told of each candidate.
+    known : sequence of Trialled
+        Candidates that were held against `base` before.
 
     Returns
     -------
@@ -407,14 +413,16 @@ def select(
     current, rounds, strongest = base, list[Round](), 0.0
     while len(rounds) < _MOST:
         open_ = candidates_for(current.model, names)
+        before = () if rounds else tuple(known)
         tried = try_all(
             bench,
             current,
-            open_,
+            [name for name in open_ if all(name != each.effect for each in before)],
             most=_LATER if rounds else _FIRST,
             workers=workers,
             progress=progress,
         )
+        tried = tuple(sorted((*before, *tried), key=lambda e: (e.refit is None, -e.gain)))
         good = _good(bench, tried, strongest)
         if good and good[0].refit is not None:
             # What the search for the larger model has found may serve the smaller one as well.

@@ -71,5 +71,8 @@ EFFECTS: Final[tuple[Effect, ...]] = (
 )
 """All effects: those of the contract in its order, and what measured data ask for beside them."""
 
-BY_NAME: Final = {effect.name: effect for effect in EFFECTS}
-"""The effects by their name in results."""
+EVERY_LAW: Final = tuple(each for effect in EFFECTS for each in (effect, *effect.laws))
+"""The effects, each followed by the other laws that it may follow."""
+
+BY_NAME: Final = {effect.name: effect for effect in EVERY_LAW}
+"""All of these by their names in a model."""

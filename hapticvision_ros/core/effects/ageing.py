@@ -15,9 +15,16 @@
 """Stiffness and viscosity drift over the campaign."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
-from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.effects.declaration import (
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+    Prediction,
+)
 from hapticvision_ros.core.models.chain import Slot
 import numpy as np
 
@@ -35,7 +42,20 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     ]
 
 
-EFFECT = Effect(
+def _within(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    # Where all elements change by one factor the object moves as it did, and only its force has
+    # the factor: so it is within a trial.
+    since = (0.5 * (trial.t[1:] + trial.t[:-1]) - trial.t[0]) / _HOUR
+    factor = np.exp(values[0] * since)
+    prediction.force *= factor
+    if rows:
+        prediction.d_force *= factor
+        prediction.d_force[rows[0]] += since * prediction.force
+
+
+_BY_TRIAL = Effect(
     name='ageing',
     title='Ageing',
     kind='object',
@@ -59,4 +79,23 @@ EFFECT = Effect(
         'Ferry, Viscoelastic Properties of Polymers, 3rd ed., 1980, ch. 11 (temperature).'
     ),
     shape=_shape,
+)
+
+EFFECT = replace(
+    _BY_TRIAL,
+    laws=(
+        _BY_TRIAL.following(
+            'within_trials',
+            sketch="""
+    K, C -> K exp(rate t), C exp(rate t),  t from the start of the campaign
+    """,
+            validity=(
+                'Drying or warming that acts on all elements alike; a stiff arm and a light '
+                'object: machine_compliance, inertia and adhesion age with them within a trial.'
+            ),
+            source=_BY_TRIAL.source,
+            shape=_shape,
+            observe=_within,
+        ),
+    ),
 )

@@ -27,8 +27,8 @@ W. Squire and G. Trapp, SIAM Rev. 40, 1998, 110-112, doi:10.1137/S00361445963124
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, Protocol
 
 from hapticvision_ros.core.models.chain import neutral, Slot
 from hapticvision_ros.core.models.sampling import sample
@@ -37,6 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 type ComplexArray = NDArray[np.complex128]
+
+LAW: Final = ':'
+"""Between the name of an effect and that of another law of it."""
 
 
 class DrivenTrial(Protocol):
@@ -293,6 +296,8 @@ class Effect:
         Effects that it becomes where it acts within a sample.
     nuisance : bool
         Whether each trial finds it for itself in any case, so that no campaign can show it.
+    laws : tuple of Effect
+        Other laws that it is known to follow, made by `following`.
 
     """
 
@@ -313,6 +318,67 @@ class Effect:
     extra: bool = False
     generalises: tuple[str, ...] = ()
     nuisance: bool = False
+    laws: tuple['Effect', ...] = ()
+
+    @property
+    def named(self) -> str:
+        """Return the name of the effect, whatever its law."""
+        return without_law(self.name)
+
+    def following(
+        self,
+        law: str,
+        *,
+        sketch: str,
+        validity: str,
+        source: str,
+        observe: Observe | None = None,
+        shape: Shape | None = None,
+        kind: Literal['object', 'cell', 'sensor'] | None = None,
+        parameters: tuple[EffectParameter, ...] = (),
+    ) -> 'Effect':
+        """
+        Return the effect by another law, which is looked for where the usual one does not suffice.
+
+        Parameters
+        ----------
+        law : str
+            Its name, put after that of the effect.
+        sketch, validity, source : str
+            As in `Effect`.
+        observe, shape : callable, optional
+            What takes the place of both of the effect.
+        kind : {'object', 'cell', 'sensor'}, optional
+            Where it sits by this law, if it is not where the effect sits.
+        parameters : tuple of EffectParameter
+            What the law adds to the parameters of the effect.
+
+        Returns
+        -------
+        Effect
+            The law, an effect of its own to a model.
+
+        """
+        return replace(
+            self,
+            name=f'{self.name}{LAW}{law}',
+            kind=kind or self.kind,
+            title=f'{self.title} ({law.replace("_", " ")})',
+            sketch=sketch,
+            validity=validity,
+            source=source,
+            observe=observe,
+            shape=shape,
+            parameters=(*self.parameters, *parameters),
+            time_constant=None if shape is None else self.time_constant,
+            extra=True,
+            laws=(),
+        )
+
+
+def without_law(name: str) -> str:
+    """Return the name of the effect of which a name may say the law as well."""
+    return name.partition(LAW)[0]
 
 
 def dashpots(values: Mapping[str, float]) -> float:

@@ -15,6 +15,7 @@
 """Coulomb friction in the push axis."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 from typing import Final
 
@@ -24,26 +25,69 @@ from hapticvision_ros.core.effects.declaration import (
     EffectParameter,
     Prediction,
 )
+from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
 SLIDING_SPEED: Final = 1e-5
 """Speed [m/s] above which the tool is taken to slide: a tenth and less of any push."""
 
 
-def _observe(
-    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
-) -> None:
+def _direction(trial: DrivenTrial) -> FloatArray:
+    """Return the direction in which the tool slides in each step, 0 at rest; shape (n,)."""
     speed = np.diff(trial.displacement) / np.diff(trial.t)
     # Friction at rest is anything up to the threshold; as the load cell's zero is taken at rest,
     # or at a steady approach, a tool at rest is given none; nor is one that only creeps by the
     # noise of its encoders.
-    direction = np.tanh((speed / SLIDING_SPEED) ** 3)
+    return np.tanh((speed / SLIDING_SPEED) ** 3)
+
+
+def _last_direction(trial: DrivenTrial) -> FloatArray:
+    """Return the direction in which the tool has slid last, 0 before it has; shape (n,)."""
+    direction = _direction(trial)
+    slides = np.abs(direction) > 0.5
+    last = np.maximum.accumulate(np.where(slides, np.arange(slides.size), -1))
+    return np.where(last < 0, 0.0, np.sign(direction[last]))
+
+
+def _touched(prediction: Prediction) -> FloatArray:
+    """Return 1 for each step in which the object is touched, else 0; shape (n,)."""
+    # What acts on the object comes before in a model: without contact its force is nothing.
+    return np.where(prediction.force != 0.0, 1.0, 0.0)
+
+
+def _add(
+    direction: FloatArray, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
     prediction.force += values[0] * direction
     if rows:
         prediction.d_force[rows[0]] += direction
 
 
-EFFECT = Effect(
+def _observe(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    _add(_direction(trial), values, prediction, rows)
+
+
+def _held(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    _add(_last_direction(trial), values, prediction, rows)
+
+
+def _in_contact(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    _add(_direction(trial) * _touched(prediction), values, prediction, rows)
+
+
+def _held_in_contact(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    _add(_last_direction(trial) * _touched(prediction), values, prediction, rows)
+
+
+_COULOMB = Effect(
     name='friction',
     title='Friction',
     kind='cell',
@@ -70,4 +114,42 @@ EFFECT = Effect(
         'doi:10.1016/0005-1098(94)90209-7 (Coulomb friction and its regularisation at rest).'
     ),
     observe=_observe,
+)
+
+_DAHL = (
+    'P. R. Dahl, AIAA J. 14, 1976, 1675-1682, doi:10.2514/3.61511 (friction at rest keeps what it '
+    'had when the motion ended).'
+)
+
+EFFECT = replace(
+    _COULOMB,
+    laws=(
+        _COULOMB.following(
+            'held',
+            sketch="""
+    F_measured = F + F_c sign(v),  at rest v as it was before
+    """,
+            validity='Dry friction that a tool at rest keeps, in air as in contact.',
+            source=_DAHL,
+            observe=_held,
+        ),
+        _COULOMB.following(
+            'in_contact',
+            sketch="""
+    F_measured = F + F_c sign(v) in contact;  nothing at rest
+    """,
+            validity='Dry friction between tool and object; at rest it has decayed.',
+            source=_COULOMB.source,
+            observe=_in_contact,
+        ),
+        _COULOMB.following(
+            'held_in_contact',
+            sketch="""
+    F_measured = F + F_c sign(v) in contact,  at rest v as it was before
+    """,
+            validity='Dry friction between tool and object, which a tool at rest keeps.',
+            source=_DAHL,
+            observe=_held_in_contact,
+        ),
+    ),
 )

@@ -15,7 +15,9 @@
 """The range sensor's reading shifts while the tool occludes the object."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
+from typing import Final
 
 from hapticvision_ros.core.effects.declaration import (
     DrivenTrial,
@@ -24,6 +26,9 @@ from hapticvision_ros.core.effects.declaration import (
     Prediction,
 )
 import numpy as np
+
+_SHARPEST: Final = 1e-6
+"""Way of the tool within which it comes to hide the object at least [m]."""
 
 
 def _observe(
@@ -35,7 +40,23 @@ def _observe(
         prediction.d_height[rows[0], hidden] += 1.0
 
 
-EFFECT = Effect(
+def _near(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    bias, clearance = values
+    depth = np.interp(trial.height_t, trial.t, trial.displacement)
+    # A frame in which the tool passes the limit is hidden in part.
+    width = np.maximum(np.abs(np.gradient(depth)) if depth.size > 1 else 0.0, _SHARPEST)
+    part = (depth + clearance) / width + 0.5
+    hidden = np.clip(part, 0.0, 1.0)
+    prediction.height += bias * hidden
+    if rows:
+        prediction.d_height[rows[0]] += hidden
+        passing = (part > 0.0) & (part < 1.0)
+        prediction.d_height[rows[1], passing] += bias / width[passing]
+
+
+_BELOW = Effect(
     name='height_bias',
     title='Height bias',
     kind='sensor',
@@ -59,4 +80,30 @@ EFFECT = Effect(
         'doi:10.1016/j.cviu.2015.05.006 (occlusion and mixed pixels of range sensors).'
     ),
     observe=_observe,
+)
+
+EFFECT = replace(
+    _BELOW,
+    laws=(
+        _BELOW.following(
+            'near',
+            sketch="""
+    H_measured = H + b while the tip is less than c above the original surface, or below it
+    """,
+            validity='A shift that depends neither on the depth nor on the side of the view.',
+            source=_BELOW.source,
+            observe=_near,
+            parameters=(
+                EffectParameter(
+                    'c',
+                    'm',
+                    'how far above the surface the tool begins to hide it',
+                    0.0,
+                    math.inf,
+                    lambda scale: scale.depth,
+                    scan=(0.3, 0.45, 0.7, 1.0, 1.5, 2.2),
+                ),
+            ),
+        ),
+    ),
 )

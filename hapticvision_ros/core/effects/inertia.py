@@ -15,6 +15,7 @@
 """Moving mass at the contact."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hapticvision_ros.core.effects.declaration import (
     dashpots,
@@ -22,15 +23,36 @@ from hapticvision_ros.core.effects.declaration import (
     DrivenTrial,
     Effect,
     EffectParameter,
+    Prediction,
 )
 from hapticvision_ros.core.models.chain import Slot
+import numpy as np
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.MASS, values[0])
 
 
-EFFECT = Effect(
+def _of_the_tool(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    length = np.diff(trial.t)
+    speed = np.diff(trial.displacement) / length
+    # The speed at the end of a step is that of the parabola through it and its neighbours.
+    at_ends = np.concatenate(
+        (
+            speed[:1],
+            (length[:-1] * speed[1:] + length[1:] * speed[:-1]) / (length[:-1] + length[1:]),
+            speed[-1:],
+        )
+    )
+    acceleration = np.diff(at_ends) / length
+    prediction.force += values[0] * acceleration
+    if rows:
+        prediction.d_force[rows[0]] += acceleration
+
+
+_AT_THE_CONTACT = Effect(
     name='inertia',
     title='Inertia',
     kind='object',
@@ -60,4 +82,23 @@ EFFECT = Effect(
     source='The paper, eq. (3), and the third property in its section 2.1.',
     shape=_shape,
     time_constant=lambda values: values['M'] / dashpots(values),
+)
+
+EFFECT = replace(
+    _AT_THE_CONTACT,
+    laws=(
+        _AT_THE_CONTACT.following(
+            'of_the_tool',
+            sketch="""
+    F_measured = F + M d^2x/dt^2,  x the tool's own way, in air as in contact
+    """,
+            validity='A rigid tool before the load cell, which is not compensated for its mass.',
+            source=(
+                'ISO 4965-1:2012, Dynamic force calibration for uniaxial fatigue testing (force '
+                'of the mass between load cell and test piece).'
+            ),
+            observe=_of_the_tool,
+            kind='cell',
+        ),
+    ),
 )

@@ -99,6 +99,33 @@ def test_each_left_out_push_is_predicted_better(case: Any, effect: Undeclared, s
     assert all(ratio > ranking[0].held_out_ratio for ratio in others)
 
 
+@pytest.mark.parametrize(
+    ('other', 'seed', 'law'),
+    [
+        (Undeclared('stiction', (0.1, 1e-5)), 16, 'friction:held'),
+        (Undeclared('contact_friction', (0.3,)), 12, 'friction:in_contact'),
+        (Undeclared('tool_mass', (0.3,)), 13, 'inertia:of_the_tool'),
+        (Undeclared('early_shadow', (2e-4, 1.5e-3)), 14, 'height_bias:near'),
+        (Undeclared('ageing', (8.0,)), 15, 'ageing:within_trials'),
+    ],
+    ids=lambda value: getattr(value, 'name', ''),
+)
+def test_an_effect_is_named_by_whatever_law_it_acts(
+    world: Any, other: Undeclared, seed: int, law: str
+) -> None:
+    found = diagnose(world.measure(world.campaign(), other, seed=seed).pairs)
+    effect = law.partition(':')[0]
+    assert (found.status, found.effects, found.sets) == ('explained', (effect,), ((effect,),))
+    assert found.laws == (law,)
+    assert found.after.model.effects == (law,)
+    # The strength is the first parameter of either.
+    symbol = found.after.model.names[3]
+    estimate = found.after.parameters[symbol]
+    assert abs(estimate.value - other.values[0]) < NOISES * estimate.std
+    assert estimate.std < 0.1 * abs(other.values[0])
+    assert [each.effect for each in found.ranking].count(effect) == 1
+
+
 def test_a_campaign_that_the_base_explains_says_none(case: Any) -> None:
     found = case(None, 1).found
     assert (found.status, found.effects, found.sets) == ('none', (), ())

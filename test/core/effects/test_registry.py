@@ -24,8 +24,10 @@ from types import ModuleType
 
 from hapticvision_ros.core import effects
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.effects import BY_NAME, EFFECTS
+from hapticvision_ros.core.diagnosis.selection import candidates_for
+from hapticvision_ros.core.effects import BY_NAME, EFFECTS, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import Effect, Scale
+from hapticvision_ros.core.errors import UsageError
 import numpy as np
 import pytest
 
@@ -68,7 +70,7 @@ STRONG = {
 }
 """Strengths where the first guess is the absence."""
 
-every = pytest.mark.parametrize('effect', EFFECTS, ids=lambda effect: effect.name)
+every = pytest.mark.parametrize('effect', EVERY_LAW, ids=lambda effect: effect.name)
 
 
 def _strong(model: Model, scale: Scale, factor: float = 1.0) -> np.ndarray:
@@ -89,17 +91,25 @@ def test_the_registry_is_the_table_of_the_contract_and_what_measured_data_ask_fo
 
 @every
 def test_an_effect_is_one_file_and_says_all_about_itself(effect: Effect) -> None:
-    module = getattr(effects, effect.name)
+    module = getattr(effects, effect.named)
     assert isinstance(module, ModuleType)
     assert module.__file__ is not None
-    assert Path(module.__file__).stem == effect.name
-    assert module.EFFECT is effect
-    assert (effect.shape is None) != (effect.observe is None)
+    assert Path(module.__file__).stem == effect.named
+    assert effect in (module.EFFECT, *module.EFFECT.laws)
+    assert effect.shape is not None or effect.observe is not None
     for text in (effect.title, effect.sketch, effect.validity, effect.signature, effect.source):
         assert text.strip()
     assert re.search(r'[12]\d{3}|paper', effect.source), 'the source has a year'
     for other in effect.excludes:
         assert effect.name in BY_NAME[other].excludes or BY_NAME[other].shape is not None
+
+
+def test_an_effect_follows_one_law() -> None:
+    with pytest.raises(UsageError, match="'friction' is named twice"):
+        Model(('friction', 'friction:held'))
+    assert candidates_for(Model(('friction:held',)), list(BY_NAME)) == [
+        name for name in BY_NAME if not name.startswith('friction')
+    ]
 
 
 @every
@@ -195,7 +205,7 @@ def test_the_derivatives_of_pairs_are_those_of_the_prediction(
     seed: int, scale: Scale, driven: Callable
 ) -> None:
     random = np.random.default_rng(seed)
-    names = list(BY_NAME)
+    names = [effect.name for effect in EFFECTS]
     while True:
         first, second = random.choice(names, 2, replace=False)
         if second not in BY_NAME[first].excludes and first not in BY_NAME[second].excludes:
