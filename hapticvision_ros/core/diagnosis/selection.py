@@ -192,10 +192,10 @@ def _shown(trial: FitTrial) -> bool:
     the force, tell nothing of that.
     """
     return any(
-        bend.duration + 2.0 * bend.lag > _RESOLVED * trial.path.interval
+        bend.lasts > _RESOLVED * trial.path.interval
         for bend in trial.path.bends
         if bend.t > trial.t_contact
-        and (trial.t_release is None or bend.t + 0.5 * bend.duration < trial.t_release)
+        and (trial.t_release is None or bend.t + 0.5 * bend.shape.duration < trial.t_release)
     )
 
 
@@ -435,12 +435,26 @@ def select(
             rounds.append(Round(current, tried, ()))
             break
         leader = good[0]
-        near = _near(bench, good)
+        near = _near(bench, [*good, *_as_quick(bench, tried, good)])
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
         strongest = max(strongest, leader.strength)
         current = good[0].refit
     return current, tuple(rounds)
+
+
+def _as_quick(
+    bench: Workbench, tried: Sequence[Trialled], good: Sequence[Trialled]
+) -> list[Trialled]:
+    """Return what draws jumps out as the leader does, and has only missed a limit itself."""
+    leader = good[0]
+    if leader.refit is None or not fleeting(bench, leader.refit, leader.effect):
+        return []
+    return [
+        each
+        for each in tried
+        if each.refit is not None and each not in good and fleeting(bench, each.refit, each.effect)
+    ]
 
 
 def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:

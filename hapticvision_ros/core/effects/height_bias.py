@@ -46,7 +46,9 @@ def _near(
     bias, clearance = values
     depth = np.interp(trial.height_t, trial.t, trial.displacement)
     # A frame in which the tool passes the limit is hidden in part.
-    width = np.maximum(np.abs(np.gradient(depth)) if depth.size > 1 else 0.0, _SHARPEST)
+    width = np.full(depth.size, _SHARPEST)
+    if depth.size > 1:
+        width = np.maximum(np.abs(np.gradient(depth)), _SHARPEST)
     part = (depth + clearance) / width + 0.5
     hidden = np.clip(part, 0.0, 1.0)
     prediction.height += bias * hidden

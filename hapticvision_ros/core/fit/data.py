@@ -30,6 +30,7 @@ from itertools import pairwise
 import math
 from typing import Final, NamedTuple
 
+from hapticvision_ros.core.fit.bend import Bend, Corner, ROUNDED, Servo, servo_of, Shape
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.kernels import kernel
@@ -110,17 +111,14 @@ _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _SHOWN: Final = 12.0
 """Drop of the squares over the noise from which on a change of speed takes time."""
-_FADED: Final = 7.0
-"""Time constants after which a lag is over."""
+_DURATIONS: Final = 17
+_SOFT: Final = (0.0, 0.5, 1.0)
+"""Parts of how long an acceleration lasts, over which it comes and goes, that are tried."""
 _BRIEFEST: Final = 0.05
 """Of a lag, below which how long an acceleration lasts makes no difference."""
 _LAG_ZOOMS: Final = 3
 _STILL: Final = 0.9
 """Part of the readings of a tool at rest that are one and the same."""
-_RESTS: Final = 17
-"""Places within a step of the encoders where a tool at rest may be."""
-_ROUNDED: Final = 1.001
-"""Half a step of the encoders, and the rounding of its digits."""
 _NO_WORSE: Final = 1.2
 _AIR: Final = 0.2
 """The tool's path is followed closely up to this share of the depth above the first touch."""
@@ -180,7 +178,7 @@ class ToolPath:
     t: FloatArray
     displacement: FloatArray
     noise: float
-    bends: tuple['Bend', ...] = ()
+    bends: tuple[Bend, ...] = ()
     interval: float = 0.0
 
     def at(self, t: FloatArray) -> FloatArray:
@@ -196,69 +194,6 @@ class ToolPath:
         """Return when the tool's speed changes [s]."""
         edges = [edge for bend in self.bends for edge in (bend.start, bend.stop)]
         return [*self.t.tolist(), *edges]
-
-
-@dataclass(frozen=True, slots=True)
-class Bend:
-    """
-    A corner that is passed with a constant acceleration, which the arm may follow with a lag.
-
-    Parameters
-    ----------
-    t : float
-        When the two straight pieces would meet [s].
-    duration : float
-        How long the acceleration lasts [s].
-    turn : float
-        Speed after less speed before [m/s].
-    lag : float
-        Time constant of the first-order lag of the arm's servo [s].
-
-    """
-
-    t: float
-    duration: float
-    turn: float
-    lag: float = 0.0
-
-    @property
-    def start(self) -> float:
-        """Return when the acceleration begins [s]."""
-        return self.t - self.lag - 0.5 * self.duration
-
-    @property
-    def stop(self) -> float:
-        """Return when it ends [s]."""
-        return self.start + self.duration + _FADED * self.lag
-
-    def beyond(self, t: FloatArray) -> FloatArray:
-        """Return by how much the path is beyond the straight pieces at times within [m]."""
-        duration = np.array([self.duration])
-        beyond = _rounded(t - self.t, duration, self.lag)
-        if self.lag > 0.0:
-            # What a lag leaves at its end would be a jump of the tool.
-            left = _rounded(np.array([self.stop - self.t]), duration, self.lag)
-            beyond -= left * (t - self.start) / (self.stop - self.start)
-        return self.turn * beyond
-
-
-def _rounded(away: FloatArray, duration: FloatArray, lag: float) -> FloatArray:
-    """
-    Return by how much a corner is passed, over the change of speed, at times `away` from it [s].
-
-    Shapes (n,) and (k, 1) give (k, n). The travel of a tool that is accelerated evenly is the
-    difference of two that go on being so, each after the lag.
-    """
-    if lag == 0.0:
-        left: FloatArray = np.maximum(0.5 * duration - np.abs(away), 0.0)
-        return 0.5 / duration * left**2
-
-    def travel(since: FloatArray) -> FloatArray:
-        return since * (0.5 * since - lag) - lag * lag * np.expm1(-since / lag)
-
-    begun = np.maximum(away + lag + 0.5 * duration, 0.0)
-    ended = np.maximum(away + lag - 0.5 * duration, 0.0)
-    return (travel(begun) - travel(ended)) / duration - np.maximum(away, 0.0)
 
 
 @dataclass(frozen=True)
@@ -383,9 +318,9 @@ class FitTrial:
             return None
         fine = self.interval / _PARTS
         bent = [
-            np.arange(bend.start, bend.start + bend.duration + 2.0 * bend.lag, fine)
+            np.arange(bend.start, bend.start + bend.lasts, fine)
             for bend in self.path.bends
-            if bend.duration + 2.0 * bend.lag < _QUICK * self.interval
+            if bend.lasts < _QUICK * self.interval
         ]
         t = np.unique(np.concatenate((self.path.events, *bent)))
         displacement = self.path.at(t)
@@ -514,8 +449,9 @@ def prepare(
     warnings: list[str] = []
     unknown: list[str | None] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
+    servo = _servo_of(trials)
     for trial, phases in trials:
-        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows)
+        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
@@ -614,7 +550,11 @@ def planned(
 
 
 def _prepare(
-    trial: Trial, phases: Segmentation, campaign_time: float, windows: bool
+    trial: Trial,
+    phases: Segmentation,
+    campaign_time: float,
+    windows: bool,
+    servo: Servo | None,
 ) -> FitTrial | str:
     """Return one trial, or why it cannot be used."""
     touch, original = phases.t_contact, phases.contact_height
@@ -632,7 +572,7 @@ def _prepare(
     displacement = Signal(tool.t, original - tool.value)
     if displacement.value.max() <= 0.0:
         return 'the tool does not go on after the touch'
-    path = tool_path(displacement, phases)
+    path = tool_path(displacement, phases, servo)
     deepest = int(np.argmax(path.displacement))
     if path.displacement[deepest] <= 0.0 or path.t[deepest] <= touch:
         return 'the tool does not go on after the touch'
@@ -682,6 +622,19 @@ def _prepare(
         events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
+
+
+def _servo_of(trials: Sequence[tuple[Trial, Segmentation]]) -> Servo | None:
+    """Return how the arm changes its speed, if the trials tell that it does so alike."""
+    turns: list[_Turned] = []
+    for trial, phases in trials:
+        tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
+        if phases.t_contact is None or phases.contact_height is None or len(tool) < _FEWEST:
+            continue
+        displacement = Signal(tool.t, phases.contact_height - tool.value)
+        if displacement.value.max() > 0.0:
+            turns += _path(displacement, phases, None)[1]
+    return servo_of([turn.corner for turn in turns], [turn.shape for turn in turns])
 
 
 def _is_pressed(height: Signal | None) -> bool:
@@ -878,7 +831,30 @@ def _onset_std(force: Signal, path: ToolPath, touch: float, interval: float) -> 
     return math.hypot(travelled, path.noise, error, _DETECTION * depth)
 
 
-def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
+class _Turned(NamedTuple):
+    """
+    A change of speed in a path.
+
+    Parameters
+    ----------
+    bend : Bend
+        How the path goes there.
+    level : float
+        Where the straight pieces would meet [m].
+    corner : Corner
+        What the encoders tell of it.
+    shape : Shape
+        What it goes like by these, whether or not it is told from a sharp corner.
+
+    """
+
+    bend: Bend
+    level: float
+    corner: Corner
+    shape: Shape
+
+
+def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = None) -> ToolPath:
     """
     Return the tool's path as straight pieces that follow the encoders within their noise.
 
@@ -894,6 +870,8 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         Tool displacement beyond the first touch [m], as the encoders tell it.
     phases : Segmentation
         Where corners are to be expected.
+    servo : Servo, optional
+        How the arm changes its speed, where the campaign tells it.
 
     Returns
     -------
@@ -901,6 +879,13 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         The path; from a fifth of the depth above the object on, only roughly.
 
     """
+    return _path(displacement, phases, servo)[0]
+
+
+def _path(
+    displacement: Signal, phases: Segmentation, servo: Servo | None
+) -> tuple[ToolPath, list[_Turned]]:
+    """Return the path of the tool, and what it tells of how the arm changes its speed."""
     t, value = displacement.t, displacement.value
     bad = suspects(value)
     if bad.any():
@@ -913,7 +898,7 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
     below = np.flatnonzero(value > top)
     first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
     inner_t, inner_value = t[first:last], value[first:last]
-    bends: tuple[Bend, ...] = ()
+    turns: list[_Turned] = []
     if noise <= 1e-7 * float(np.ptp(inner_value)) or inner_t.size < 16:
         knots, levels = _thinned(inner_t, inner_value)
     else:
@@ -925,18 +910,19 @@ def tool_path(displacement: Signal, phases: Segmentation) -> ToolPath:
         if knots.size > _MOST_PIECES:
             knots, levels = inner_t, inner_value
         else:
-            coarse = _ROUNDED * math.sqrt(3.0) * rounding(value)
-            knots, levels, bends = _bent(inner_t, inner_value, knots, levels, noise, coarse)
+            coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
+            knots, levels, turns = _bent(inner_t, inner_value, knots, levels, noise, coarse, servo)
     tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
     before = _coarse(t[:first], value[:first], tolerance)
     after = _coarse(t[last:], value[last:], tolerance)
-    return ToolPath(
+    path = ToolPath(
         np.concatenate((before[0], knots, after[0])),
         np.concatenate((before[1], levels, after[1])),
         noise,
-        bends,
+        tuple(turn.bend for turn in turns if turn.bend.stop > turn.bend.start),
         float(np.quantile(np.diff(t), _DENSE)),
     )
+    return path, turns
 
 
 def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -960,7 +946,8 @@ def _bent(
     levels: FloatArray,
     noise: float,
     coarse: float,
-) -> tuple[FloatArray, FloatArray, tuple[Bend, ...]]:
+    servo: Servo | None,
+) -> tuple[FloatArray, FloatArray, list[_Turned]]:
     """
     Return the path with corners in place of the short pieces over which the tool changes speed.
 
@@ -976,13 +963,17 @@ def _bent(
         else:
             groups.append([k])
     new_knots, new_levels = [float(knots[0])], [float(levels[0])]
-    bends = []
+    turns: list[_Turned] = []
     pending = groups[::-1]
     while pending:
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
-        tried = (_bend(t, value, around, step, noise, coarse, edge) for edge in _EDGE_SAMPLES)
+        tried = (
+            _bend(t, value, around, step, noise, coarse, edge, known)
+            for known in ((servo, None) if servo is not None else (None,))
+            for edge in _EDGE_SAMPLES
+        )
         found = next(filter(None, tried), None)
         gaps = np.diff(knots[group])
         if found is None and gaps.max(initial=0.0) > _APART * step:
@@ -994,21 +985,19 @@ def _bent(
             new_knots += knots[group].tolist()
             new_levels += levels[group].tolist()
             continue
-        bend, level = found
-        new_knots.append(bend.t)
-        new_levels.append(level)
-        if bend.stop > bend.start:
-            bends.append(bend)
+        new_knots.append(found.bend.t)
+        new_levels.append(found.level)
+        turns.append(found)
     new_knots.append(float(knots[-1]))
     new_levels.append(float(levels[-1]))
     made, heights = np.array(new_knots), np.array(new_levels)
-    path = ToolPath(made, heights, noise, tuple(bends))
+    path = ToolPath(made, heights, noise, tuple(turn.bend for turn in turns))
     before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
     after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
     # The pieces between are those of least squares by themselves: all must still follow.
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
-        return knots, levels, ()
-    return made, heights, tuple(bends)
+        return knots, levels, []
+    return made, heights, turns
 
 
 def _bend(
@@ -1019,12 +1008,13 @@ def _bend(
     noise: float,
     coarse: float,
     edge: int,
-) -> tuple[Bend, float] | None:
+    servo: Servo | None,
+) -> _Turned | None:
     """Return the acceleration between two straight pieces, and the level where these meet."""
     left, start, stop, right = around
     margin = max(stop - start, edge * step)
     lines = []
-    rest: int | None = None
+    rest = -1
     for k, (first, last) in enumerate(((left, start - margin), (stop + margin, right))):
         inside = (t >= first) & (t <= last)
         if np.count_nonzero(inside) < edge:
@@ -1038,77 +1028,71 @@ def _bend(
     if lines[0][1] == lines[1][1]:
         return None
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
-    near_t, near = t[chosen], value[chosen]
-    if near_t.size == 0:
+    if not chosen.any():
         return None
-    found = _turned(near_t, near, lines, None, 0.0, 4.0 * margin, noise)
-    if rest is not None:
-        # A tool at rest reads the same wherever it is within a step of its encoders; how it comes
-        # there tells more: the mean over the step, by how likely the readings beside the rest are.
-        def moved(shift: float, lag: float | None = None) -> _Turned:
-            shifted = list(lines)
-            shifted[rest] = lines[rest][0] + shift, 0.0
-            return _turned(near_t, near, shifted, rest, coarse, 4.0 * margin, noise, lag)
-
-        shifts = np.linspace(-coarse, coarse, _RESTS)
-        squares = np.array([moved(shift, found.bend.lag).squares for shift in shifts.tolist()])
-        likely = np.exp(-0.5 * (squares - squares.min()) / noise**2)
-        found = moved(float(likely @ shifts / likely.sum()))
-    if not start - margin < found.bend.t < stop + margin:
+    corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
+    enough = _FOLLOWS**2 * corner.t.size * noise**2
+    if servo is None:
+        shape, shift = _shape_of(corner, 4.0 * margin, enough)
+    else:
+        shape = servo.shape(corner.turn)
+        shift = corner.rested(shape)
+    meeting, level = corner.meeting(shift)
+    squares = corner.left(shape, shift)
+    if not start - margin < meeting < stop + margin:
         return None
-    if found.squares > _FOLLOWS**2 * near_t.size * noise**2:
+    if squares > enough:
         return None
-    scale = max(noise**2, found.squares / near_t.size)
-    shown = found.sharp - found.squares > _SHOWN * scale
-    return (found.bend if shown else replace(found.bend, duration=0.0, lag=0.0)), found.level
+    scale = max(noise**2, squares / corner.t.size)
+    sharp = corner.left(Shape(0.0), shift)
+    shown = servo is not None or sharp - squares > _SHOWN * scale
+    bend = Bend(meeting, corner.turn, shape if shown else Shape(0.0))
+    return _Turned(bend, level, corner, shape)
 
 
-class _Turned(NamedTuple):
-    """A change of speed, its level, the squares that it leaves, and those of a sharp corner."""
+def _shape_of(corner: Corner, longest: float, enough: float) -> tuple[Shape, float]:
+    """
+    Return how one change of speed goes by itself, and where the tool rests beside it [m].
 
-    bend: Bend
-    level: float
-    squares: float
-    sharp: float
+    An acceleration comes and goes at once unless this leaves more than `enough` [m^2].
+    """
+    for soft in _SOFT:
+        shape, left = _best_shape(corner._replace(rest=-1), 0.0, longest, soft)
+        shift = 0.0
+        if corner.rest >= 0:
+            # How the tool comes to where it rests tells where that is, within a step.
+            squares = [
+                _best_shape(corner, each, longest, soft, shape.lag)[1]
+                for each in corner.shifts.tolist()
+            ]
+            shift = corner.likely(np.array(squares))
+            shape, left = _best_shape(corner, shift, longest, soft)
+        if left <= enough:
+            break
+    return shape, shift
 
 
-def _turned(
-    t: FloatArray,
-    value: FloatArray,
-    lines: Sequence[tuple[float, float]],
-    rest: int | None,
-    coarse: float,
-    longest: float,
-    noise: float,
-    lag: float | None = None,
-) -> _Turned:
-    """Return the acceleration between two lines that follows the samples best."""
-    (level, slope), (next_level, next_slope) = lines
-    turn = next_slope - slope
-    meeting = (level - next_level) / turn
-    before = t < meeting
-    miss = value - np.where(before, level + slope * t, next_level + next_slope * t)
-    away = t - meeting
-    resting = np.zeros(t.size, dtype=np.bool_)
-    if rest is not None:
-        resting = np.abs(value - lines[rest][0] - lines[rest][1] * t) <= _ROUNDED * coarse
-        resting &= before == (rest == 0)
+def _best_shape(
+    corner: Corner, shift: float, longest: float, soft: float, lag: float | None = None
+) -> tuple[Shape, float]:
+    """
+    Return the acceleration that follows the samples best, and the squares it leaves.
 
-    def squares(durations: FloatArray, lag: float) -> FloatArray:
-        lasts = np.maximum(durations, max(_BRIEFEST * lag, 1e-9))[:, np.newaxis]
-        left = miss - turn * _rounded(away, lasts, lag)
-        return np.asarray(np.sum(np.where(resting, _beyond(left, coarse), left) ** 2, axis=1))
+    It takes a part `soft` of how long it lasts to come, and to go.
+    """
 
     def best_duration(lag: float) -> tuple[float, float]:
         low, high = 0.0, longest
         best = 0.0
+        shifts = np.full(_DURATIONS, shift)
         for _ in range(_ZOOMS):
-            tried = np.linspace(low, high, 17)
-            best = float(tried[np.argmin(squares(tried, lag))])
-            width = (high - low) / 16.0
+            tried = np.linspace(low, high, _DURATIONS)
+            lasts = np.maximum(tried, _BRIEFEST * lag)
+            best = float(tried[np.argmin(corner.squares(lasts, shifts, soft, lag))])
+            width = (high - low) / (_DURATIONS - 1)
             low, high = max(best - width, 0.0), best + width
         best = max(best, _BRIEFEST * lag)
-        return float(squares(np.array([best]), lag)[0]), best
+        return float(corner.squares(np.array([best]), shifts[:1], soft, lag)[0]), best
 
     bent, duration = best_duration(lag or 0.0)
     if lag is None:
@@ -1120,11 +1104,9 @@ def _turned(
             at, width = min(ends)[2], (high - low) / 7.0
             low, high = max(at - width, 0.0), at + width
         lagged = min(ends)
-        if lagged[0] < bent - _SHOWN * noise**2:
+        if lagged[0] < bent - _SHOWN * corner.noise**2:
             bent, duration, lag = lagged
-    sharp = float(squares(np.zeros(1), 0.0)[0])
-    bend = Bend(meeting, duration, turn, lag)
-    return _Turned(bend, level + slope * meeting, bent, sharp)
+    return Shape(duration, soft * duration, lag), bent
 
 
 def _beyond(miss: FloatArray, coarse: float) -> FloatArray:

@@ -29,11 +29,12 @@ A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 
 
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Final
 
+from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
@@ -533,7 +534,7 @@ def estimate(
         grid = [np.array([share, time]) for share in (-3.0, 0.0, 4.0) for time in times]
         point = min((*grid, point), key=lambda at: cost(at, bare))
         size = 1.0
-    point = _simplex(cost, point, size)
+    _, point = minimum(cost, point, np.full(2, size))
     relative = _split(point[0], math.exp(point[1]), start)
     _, level = _restricted(pile, relative)
     return replace(relative, white=level * relative.white, slow=level * relative.slow)
@@ -584,7 +585,7 @@ def wandering(
     if limits[1] <= limits[0] or _restricted(pile, noise)[0] - min(map(cost, grid)) < at_least:
         return None
     for _ in range(_TURNS):
-        point = _simplex(cost, min(grid, key=cost), 0.7)
+        _, point = minimum(cost, min(grid, key=cost), np.full(2, 0.7))
         size, time = noise.std * math.exp(point[0]), math.exp(point[1])
         _, level = _restricted(pile, replace(noise, wander=size, wander_time=time))
         noise = replace(noise, wander=level * size, wander_time=time)
@@ -636,35 +637,3 @@ def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
     information = float(np.sum(np.log(values[steep]))) + 2.0 * float(np.sum(np.log(scale)))
     variance = left / max(free, 1)
     return free * math.log(variance) + log_determinant + information, math.sqrt(variance)
-
-
-def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, size: float) -> FloatArray:
-    """Return the minimum of a function of two variables, by the method of Nelder and Mead."""
-
-    def scored_at(point: FloatArray) -> tuple[float, tuple[float, ...]]:
-        return cost(point), tuple(point.tolist())
-
-    steps = ((0.0, 0.0), (size, 0.0), (0.0, size))
-    scored = [scored_at(start + np.array(step)) for step in steps]
-    for _ in range(60):
-        scored.sort()
-        corner = [np.array(point) for _, point in scored]
-        spread = max(float(np.abs(corner[2] - corner[0]).max()), 0.0)
-        if scored[2][0] - scored[0][0] < 0.1 or spread < 0.02:
-            break
-        middle = 0.5 * (corner[0] + corner[1])
-        away = middle - corner[2]
-
-        reflected = scored_at(middle + away)
-        if reflected[0] < scored[0][0]:
-            scored[2] = min(reflected, scored_at(middle + 2.0 * away))
-        elif reflected[0] < scored[1][0]:
-            scored[2] = reflected
-        else:
-            reach = 0.5 if reflected[0] < scored[2][0] else -0.5
-            inner = scored_at(middle + reach * away)
-            if inner[0] < min(reflected[0], scored[2][0]):
-                scored[2] = inner
-            else:
-                scored[1:] = [scored_at(0.5 * (corner[0] + far)) for far in corner[1:]]
-    return np.array(min(scored)[1])

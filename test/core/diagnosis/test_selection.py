@@ -32,6 +32,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     select,
     Trialled,
 )
+from hapticvision_ros.core.fit.bend import Shape
 from hapticvision_ros.core.fit.campaign import Blur, SHARPEST
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
@@ -141,12 +142,12 @@ def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> 
 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
-    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    bench, base = world.measure(world.campaign(world.four[:2], rate=250.0), seed=1).bench()
     release, stop = _unseen(bench, base)
     # The encoders show the stop of the quick push, and not that of the slow one.
     assert len([t for t in bench.trials if _shown(t)]) == 1
     assert release != 0.0 and stop != 0.0
-    ends = [replace(trial.path.bends[-1], duration=1e6) for trial in bench.trials]
+    ends = [replace(trial.path.bends[-1], shape=Shape(1e6)) for trial in bench.trials]
     late = [
         replace(trial, t_release=trial.t[0], path=replace(trial.path, bends=(end,)))
         for trial, end in zip(bench.trials, ends, strict=True)

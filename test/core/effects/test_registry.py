@@ -218,6 +218,20 @@ def test_the_derivatives_of_pairs_are_those_of_the_prediction(
 
 
 @every
+@pytest.mark.parametrize('heights', [0, 1])
+def test_a_trial_may_have_no_height_or_a_single_one(
+    effect: Effect, heights: int, scale: Scale, driven: Callable
+) -> None:
+    trial = driven()
+    few = replace(trial, height_t=trial.height_t[:heights])
+    model = Model((effect.name,))
+    found = model.predict(few, _strong(model, scale))
+    assert found.height.shape == (heights,)
+    assert found.d_height.shape[1] == heights
+    assert np.isfinite(found.d_force).all()
+
+
+@every
 def test_a_trial_may_start_at_any_time(effect: Effect, scale: Scale, driven: Callable) -> None:
     model = Model((effect.name,))
     theta = _strong(model, scale)

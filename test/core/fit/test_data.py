@@ -16,8 +16,8 @@
 
 from dataclasses import replace
 
+from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.data import (
-    Bend,
     planned,
     prepare,
     suspects,
@@ -99,7 +99,7 @@ def test_how_a_servo_follows_is_seen_through_encoders_that_round(duration, lag) 
 
 
 def test_a_servos_lag_ends_without_a_jump_of_the_tool() -> None:
-    bend = Bend(1.0, 0.01, -0.05, 0.02)
+    bend = Bend(1.0, -0.05, Shape(0.01, 0.0, 0.02))
     path = ToolPath(np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.05, 0.05]), 1e-6, (bend,), 1e-3)
     t = np.arange(bend.stop - 0.01, bend.stop + 0.01, 1e-5)
     assert np.abs(np.diff(path.at(t))).max() < 1e-5 * 2e-4
@@ -273,7 +273,7 @@ def test_a_stop_after_few_samples_of_the_encoders_is_found() -> None:
     noise = 1e-6 * np.random.default_rng(0).standard_normal(t.size)
     path = tool_path(Signal(t, _stopping(t, 0.0177, 0.003) + noise), PHASES)
     (bend,) = path.bends
-    assert bend.duration == pytest.approx(0.0354, rel=0.1)
+    assert bend.shape.duration == pytest.approx(0.0354, rel=0.1)
     fine = np.linspace(1.0, 3.0, 4001)
     assert np.abs(path.at(fine) - _stopping(fine, 0.0177, 0.003)).max() < 4e-6
 
@@ -381,7 +381,7 @@ def test_a_short_hold_leaves_both_changes_of_speed() -> None:
     path = tool_path(Signal(t, way + 2e-6 * random.standard_normal(t.size)), phases)
     bends = [bend for bend in path.bends if 1.9 < bend.t < 2.4]
     assert [bend.t for bend in bends] == pytest.approx([2.0, 2.22], abs=0.003)
-    assert [bend.duration for bend in bends] == pytest.approx([0.02, 0.04], rel=0.2)
+    assert [bend.shape.duration for bend in bends] == pytest.approx([0.02, 0.04], rel=0.2)
 
 
 def test_a_record_that_is_sparse_in_the_hold_has_no_gap() -> None:
@@ -447,7 +447,7 @@ def test_a_change_of_speed_within_few_steps_is_made_of_short_straight_parts() ->
     trial = replace(trial, force=Signal(t, np.interp(t, trial.force.t, trial.force.value)))
     (made,), _ = prepare([(trial, PHASES)])
     (bend,) = [bend for bend in made.path.bends if 2.9 < bend.t < 3.1]
-    assert bend.duration > 0.008
+    assert bend.shape.duration > 0.008
     assert made.turns is not None
     inside = (made.turns.t > bend.start) & (made.turns.t < bend.stop)
     assert np.diff(made.turns.t[inside]).max() < 1.1e-3

@@ -1,0 +1,418 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How an arm changes its speed: the same way in all trials, as one controller does it.
+
+An acceleration that comes and goes over a time of its own (a jerk limit, or a moving average of
+the commands), which a servo follows with a first-order lag. Encoders that round tell little of a
+single stop of a slow push; all changes of speed of a campaign together tell the shape.
+
+References
+----------
+L. Biagiotti and C. Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008,
+ch. 3.2 and 4.6 (trapezoidal and double-S profiles, and these as filters in a row).
+
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+import math
+from typing import Final, NamedTuple
+
+from hapticvision_ros.core.fit.simplex import minimum
+from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+FADED: Final = 7.0
+"""Time constants after which a lag has gone: a thousandth of what it was."""
+ROUNDED: Final = 1.001
+"""Slack of what rounding accounts for, over half a step of the encoders."""
+RESTS: Final = 17
+"""Places within a step of the encoders at which a tool may rest."""
+_SOFT: Final = 1e-3
+"""Part of an acceleration over which it comes and goes, below which it does so at once."""
+_FEWEST: Final = 2
+"""Changes of speed that tell how the arm makes them."""
+_MOST: Final = 24
+"""Those that are looked at."""
+_BRIEFEST: Final = 1e-4
+"""Acceleration that is none [s]."""
+_LONGEST: Final = 3.0
+"""How long a change of speed may take, over the longest that was found for one."""
+
+
+class Shape(NamedTuple):
+    """
+    How a change of speed goes.
+
+    Parameters
+    ----------
+    duration : float
+        How long the acceleration lasts, from when half of it has come until half has gone [s].
+    jerk : float
+        How long it takes to come, and to go; no longer than `duration` [s].
+    lag : float
+        Time constant of the first-order lag of the arm's servo [s].
+
+    """
+
+    duration: float
+    jerk: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def soft(self) -> float:
+        """Return the part of the duration over which the acceleration comes [-]."""
+        return self.jerk / self.duration if self.duration > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """
+    A corner of the tool's path that is passed with an acceleration.
+
+    Parameters
+    ----------
+    t : float
+        When the two straight pieces would meet [s].
+    turn : float
+        Speed after less speed before [m/s].
+    shape : Shape
+        How the speed changes.
+
+    """
+
+    t: float
+    turn: float
+    shape: Shape
+
+    @property
+    def lasts(self) -> float:
+        """Return how long the speed changes, but for the last of a lag [s]."""
+        return self.shape.duration + self.shape.jerk + 2.0 * self.shape.lag
+
+    @property
+    def start(self) -> float:
+        """Return when the acceleration begins [s]."""
+        duration, jerk, lag = self.shape
+        return self.t - lag - 0.5 * (duration + jerk)
+
+    @property
+    def stop(self) -> float:
+        """Return when it ends [s]."""
+        duration, jerk, lag = self.shape
+        return self.start + duration + jerk + FADED * lag
+
+    def beyond(self, t: FloatArray) -> FloatArray:
+        """Return by how much the path is beyond the straight pieces at times within [m]."""
+        beyond = rounded(t - self.t, self.shape)
+        if self.shape.lag > 0.0:
+            # What a lag leaves at its end would be a jump of the tool.
+            left = rounded(np.array([self.stop - self.t]), self.shape)
+            beyond -= left * (t - self.start) / (self.stop - self.start)
+        return self.turn * beyond
+
+
+@kernel(error_model='numpy', inline='always')
+def _travel(since, lag, order):  # type: ignore[no-untyped-def]
+    """Return the travel of a tool that is accelerated evenly for a time, or its integral."""
+    if since <= 0.0:
+        return 0.0
+    if order == 1:
+        way = 0.5 * since * since
+        if lag > 0.0:
+            way -= lag * since + lag * lag * np.expm1(-since / lag)
+        return way
+    way = since * since * since / 6.0
+    if lag > 0.0:
+        way -= lag * (0.5 * since * since - lag * since - lag * lag * np.expm1(-since / lag))
+    return way
+
+
+@kernel(error_model='numpy', inline='always')
+def _beyond(away, duration, jerk, lag):  # type: ignore[no-untyped-def]
+    """Return by how much a corner is passed, over the change of speed."""
+    at = away + lag
+    half = 0.5 * duration
+    if jerk <= _SOFT * duration:
+        way = (_travel(at + half, lag, 1) - _travel(at - half, lag, 1)) / duration
+    else:
+        soft = 0.5 * jerk
+        way = _travel(at + half + soft, lag, 2) - _travel(at + half - soft, lag, 2)
+        way -= _travel(at - half + soft, lag, 2) - _travel(at - half - soft, lag, 2)
+        way /= duration * jerk
+    return way - max(away, 0.0)
+
+
+@kernel(error_model='numpy')
+def _rounded(away, duration, jerk, lag, beyond):  # type: ignore[no-untyped-def]
+    for i in range(away.size):
+        beyond[i] = _beyond(away[i], duration, jerk, lag)
+
+
+def rounded(away: FloatArray, shape: Shape) -> FloatArray:
+    """
+    Return by how much a corner is passed, over the change of speed.
+
+    Parameters
+    ----------
+    away : ndarray, shape (n,)
+        Times from when the straight pieces would meet [s].
+    shape : Shape
+        How the speed changes; one without a duration is a sharp corner.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Above zero [s].
+
+    """
+    beyond = np.empty(away.size)
+    _rounded(away, max(shape.duration, 1e-9), shape.jerk, shape.lag, beyond)
+    return beyond
+
+
+class Corner(NamedTuple):
+    """
+    What the encoders tell of one change of speed.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        Their samples near it [s, m].
+    level, slope, next_level, next_slope : float
+        The straight lines before and after it, at time zero [m, m/s].
+    rest : int
+        Which of the two is a rest, 0 or 1; -1 for none.
+    coarse : float
+        By how much the encoders round [m]; zero if they do not.
+    noise : float
+        Standard deviation of a sample [m].
+
+    """
+
+    t: FloatArray
+    value: FloatArray
+    level: float
+    slope: float
+    next_level: float
+    next_slope: float
+    rest: int
+    coarse: float
+    noise: float
+
+    @property
+    def turn(self) -> float:
+        """Return the change of speed [m/s]."""
+        return self.next_slope - self.slope
+
+    @property
+    def shifts(self) -> FloatArray:
+        """Return where a tool at rest may be beside its reading; shape (k,) [m]."""
+        if self.rest < 0:
+            return np.zeros(1)
+        return np.linspace(-self.coarse, self.coarse, RESTS)
+
+    def squares(
+        self, durations: FloatArray, shifts: FloatArray, soft: float, lag: float
+    ) -> FloatArray:
+        """
+        Return what shapes leave of the samples.
+
+        Parameters
+        ----------
+        durations, shifts : ndarray, shape (k,)
+            How long the acceleration lasts [s], and where the tool rests beside its reading [m].
+        soft : float
+            Part of the duration over which the acceleration comes, and goes [-].
+        lag : float
+            Time constant of the lag [s].
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Sums of squares [m^2].
+
+        """
+        squares = np.empty(shifts.size)
+        lines = np.array([self.level, self.slope, self.next_level, self.next_slope])
+        lasts = np.maximum(durations, 1e-9)
+        _squares(
+            self.t, self.value, lines, self.rest, self.coarse, shifts, lasts, soft, lag, squares
+        )
+        return squares
+
+    def left(self, shape: Shape, shift: float) -> float:
+        """Return what one shape leaves of the samples with a rest at a shift [m^2]."""
+        lasts, at = np.array([shape.duration]), np.array([shift])
+        return float(self.squares(lasts, at, shape.soft, shape.lag)[0])
+
+    def _at_shifts(self, shape: Shape) -> FloatArray:
+        shifts = self.shifts
+        lasts = np.full(shifts.size, shape.duration)
+        return self.squares(lasts, shifts, shape.soft, shape.lag) / self.noise**2
+
+    def deviance(self, shape: Shape) -> float:
+        """Return minus twice the log likelihood of a shape, wherever the tool rests."""
+        scaled = self._at_shifts(shape)
+        least = float(scaled.min())
+        return least - 2.0 * math.log(float(np.mean(np.exp(-0.5 * (scaled - least)))))
+
+    def rested(self, shape: Shape) -> float:
+        """
+        Return where the tool rests beside its reading [m].
+
+        A tool at rest reads the same wherever it is within a step of its encoders; how it comes
+        there tells more: the mean over the step, by how likely the readings beside the rest are.
+        """
+        return self.likely(self._at_shifts(shape) * self.noise**2)
+
+    def likely(self, squares: FloatArray) -> float:
+        """Return the mean of `shifts`, by how likely they are with what they leave [m]."""
+        likely = np.exp(-0.5 * (squares - squares.min()) / self.noise**2)
+        return float(likely @ self.shifts / likely.sum())
+
+    def meeting(self, shift: float) -> tuple[float, float]:
+        """Return when and at which level the lines meet with a rest at a shift [s, m]."""
+        level = self.level + (shift if self.rest == 0 else 0.0)
+        next_level = self.next_level + (shift if self.rest == 1 else 0.0)
+        t = (level - next_level) / self.turn
+        return t, level + self.slope * t
+
+
+@kernel(error_model='numpy')
+def _squares(  # type: ignore[no-untyped-def]
+    t, value, lines, rest, coarse, shifts, durations, soft, lag, squares
+):
+    turn = lines[3] - lines[1]
+    for j in range(shifts.size):
+        level, next_level = lines[0], lines[2]
+        if rest == 0:
+            level += shifts[j]
+        elif rest == 1:
+            next_level += shifts[j]
+        meeting = (level - next_level) / turn
+        total = 0.0
+        for i in range(t.size):
+            before = t[i] < meeting
+            line = level + lines[1] * t[i] if before else next_level + lines[3] * t[i]
+            miss = value[i] - line
+            left = miss - turn * _beyond(t[i] - meeting, durations[j], soft * durations[j], lag)
+            if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
+                left = max(abs(left) - coarse, 0.0)
+            total += left * left
+        squares[j] = total
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """
+    How an arm makes all its changes of speed.
+
+    Parameters
+    ----------
+    duration : float
+        How long the acceleration lasts [s], or where `even` how long for a change of 1 m/s.
+    jerk : float
+        How long the acceleration takes to come, over how long it lasts where not `even`, else [s].
+    lag : float
+        Time constant of the lag [s].
+    even : bool
+        Whether the acceleration is the same for all changes, and not its duration.
+
+    """
+
+    duration: float
+    jerk: float
+    lag: float
+    even: bool
+
+    def shape(self, turn: float) -> Shape:
+        """Return how a change of speed [m/s] goes."""
+        if not self.even:
+            return Shape(self.duration, self.jerk * self.duration, self.lag)
+        duration = max(self.duration * abs(turn), 1e-9)
+        return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag)
+
+
+def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
+    """Return the servo of a search: how long over the usual (logarithm), lag, part that comes."""
+    lag = max(float(x[1]), 0.0) if x.size > 1 else 0.0
+    jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
+    return Servo(
+        usual * math.exp(float(x[0])),
+        jerk * scale if even else jerk,
+        lag * scale,
+        even,
+    )
+
+
+def _left(
+    corners: Sequence[Corner], kind: tuple[bool, float, float], longest: float, x: FloatArray
+) -> float:
+    """Return minus twice the log likelihood of a servo."""
+    servo = _servo(x, *kind)
+    made = [servo.shape(corner.turn) for corner in corners]
+    if np.any(x[1:] < 0.0) or max(sum(shape) for shape in made) > longest:
+        return math.inf
+    return sum(corner.deviance(shape) for corner, shape in zip(corners, made, strict=True))
+
+
+def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:
+    """
+    Return how an arm makes all its changes of speed, if they are alike.
+
+    Parameters
+    ----------
+    corners : sequence of Corner
+        What the encoders tell of each.
+    shapes : sequence of Shape
+        What each tells by itself.
+
+    Returns
+    -------
+    Servo or None
+        None where the changes of speed differ by more than the encoders' noise, by Schwarz's
+        criterion, or there are too few.
+
+    """
+    if len(corners) < _FEWEST:
+        return None
+    # The largest changes of speed tell most, some of each kind.
+    order = np.argsort([-abs(corner.turn) / corner.noise for corner in corners])
+    chosen = order[np.unique(np.linspace(0, order.size - 1, _MOST).round().astype(int))]
+    corners = [corners[k] for k in chosen.tolist()]
+    shapes = [shapes[k] for k in chosen.tolist()]
+    worth = math.log(sum(corner.t.size for corner in corners))
+    alone = sum(c.deviance(s) + 2.0 * worth for c, s in zip(corners, shapes, strict=True))
+    lasts = np.array([shape.duration for shape in shapes])
+    turns = np.abs([corner.turn for corner in corners])
+    longest = _LONGEST * float((lasts + np.array([shape.lag for shape in shapes])).max())
+    lag = float(np.median([shape.lag for shape in shapes]))
+    found: list[tuple[float, Servo]] = []
+    for even in (False, True):
+        usual = float(np.median(lasts / turns if even else lasts))
+        scale = usual * float(np.median(turns)) if even else usual
+        if usual <= 0.0:
+            continue
+        for size in (1, 2, 3):
+            cost = partial(_left, corners, (even, usual, scale), longest)
+            start = np.array([0.0, lag / scale, 0.5])[:size]
+            left, best = minimum(cost, start, np.array([0.3, 0.3, 0.4])[:size])
+            found.append((left + size * worth, _servo(best, even, usual, scale)))
+    least = min(found, key=lambda each: each[0], default=None)
+    return None if least is None or least[0] > alone else least[1]

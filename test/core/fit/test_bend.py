@@ -1,0 +1,126 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""How an arm changes its speed, as all trials of a campaign tell it together."""
+
+from dataclasses import replace
+
+from hapticvision_ros.core.fit.bend import rounded, servo_of, Shape
+from hapticvision_ros.core.fit.data import _path, prepare, tool_path, ToolPath
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
+from hapticvision_ros.core.segmentation import segment
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
+from hapticvision_ros.sim.specimen import Body
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+STEP = 1e-5
+SPEEDS = (0.0011, 0.0016, 0.0025, 0.0045)
+SHAPE = Shape(0.07, 0.05, 0.02)
+
+
+def _way(t: np.ndarray, speed: float, stop: float, shape: Shape, release: float) -> np.ndarray:
+    """Return the way of an arm that stops and withdraws, by filters in a row and a servo."""
+    fine = np.arange(-1.0, t[-1] + STEP, STEP)
+    followed = np.where(fine < stop, speed, np.where(fine < release, 0.0, -0.02))
+    for length in (shape.duration, shape.jerk):
+        count = max(round(length / STEP), 1)
+        total = np.cumsum(np.concatenate((np.full(count, speed), followed)))
+        followed = (total[count:] - total[:-count]) / count
+    if shape.lag:
+        keep = np.exp(-STEP / shape.lag)
+        followed = lfilter([1.0 - keep], [1.0, -keep], followed, zi=[keep * speed])[0]
+    way = np.cumsum(followed) * STEP
+    return np.interp(t, fine, way - np.interp(0.0, fine, way)) - 0.001
+
+
+@pytest.mark.parametrize('shape', [SHAPE, Shape(0.05), Shape(0.05, 0.05), Shape(0.02, 0.0, 0.03)])
+def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
+    away = np.linspace(-0.2, 0.4, 601)
+    speed = np.where(np.arange(-1.0, 1.0, STEP) < 0.0, 0.0, 1.0)
+    for length in (shape.duration, shape.jerk):
+        count = max(round(length / STEP), 1)
+        total = np.cumsum(np.concatenate((np.zeros(count), speed)))
+        # Half of a filter's length later, which is where the straight pieces are.
+        speed = np.roll((total[count:] - total[:-count]) / count, -(count // 2))
+    t = np.arange(-1.0, 1.0, STEP)
+    if shape.lag:
+        keep = np.exp(-STEP / shape.lag)
+        speed = lfilter([1.0 - keep], [1.0, -keep], speed)
+        t = t - shape.lag
+    way = np.interp(away, t, np.cumsum(speed) * STEP) - np.maximum(away, 0.0)
+    assert rounded(away, shape) == pytest.approx(way, abs=3e-5)
+
+
+def _campaign(shapes: list[Shape], step: float) -> list[tuple[Trial, Segmentation]]:
+    """Return pushes whose tool goes as given, through encoders that round; the force is not."""
+    pushes = tuple(Push(speed, 0.004, 4.0, 2.0) for speed in SPEEDS)
+    sensors = Sensors(ForceNoise(0.01), 1e-5)
+    made = []
+    trials = run(Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors), seed=3).trials
+    for trial, speed, shape in zip(trials, SPEEDS, shapes, strict=True):
+        phases = segment(trial.force, trial.tool_height, trial.displacement_height)
+        t = np.arange(0.0, trial.tool_height.t[-1], 0.008)
+        touch = phases.t_contact
+        way = _way(t - touch + 0.001 / speed, speed, 0.004 / speed, shape, 0.004 / speed + 4.0)
+        read = phases.contact_height - np.round(way / step) * step
+        made.append((replace(trial, tool_height=Signal(t, read)), phases))
+    return made
+
+
+def _off(path: ToolPath, phases: Segmentation, speed: float) -> float:
+    """Return by how much the speed of a path is off where the tool stops, relative."""
+    begun = phases.t_contact - 0.001 / speed
+    near = begun + 0.004 / speed + np.arange(-0.1, 0.25, 0.002)
+    true = _way(near - begun, speed, 0.004 / speed, SHAPE, 0.004 / speed + 4.0)
+    off = np.diff(path.at(near) - true) / 0.002 / speed
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def _displacement(trial: Trial, phases: Segmentation) -> Signal:
+    return Signal(trial.tool_height.t, phases.contact_height - trial.tool_height.value)
+
+
+def test_all_trials_tell_how_the_arm_stops_better_than_each_by_itself() -> None:
+    """Encoders of 125 Hz that round to 5 um: a stop from 1 mm/s is a few readings."""
+    trials = _campaign([SHAPE] * 4, 5e-6)
+    made, _ = prepare(trials)
+    together, alone = [], []
+    for trial, (read, phases), speed in zip(made, trials, SPEEDS, strict=True):
+        assert trial is not None
+        together.append(_off(trial.path, phases, speed))
+        alone.append(_off(tool_path(_displacement(read, phases), phases), phases, speed))
+    # A speed that is off by two percent is a force that is off by as much, for a moment.
+    assert max(together) < 0.02
+    assert max(alone) > 2.0 * max(together)
+
+
+def test_changes_of_speed_that_differ_are_not_made_alike() -> None:
+    shapes = [Shape(0.03, 0.01), Shape(0.03, 0.0, 0.04), Shape(0.2, 0.1), Shape(0.1, 0.0, 0.02)]
+    told = []
+    for chosen in (shapes, [SHAPE] * 4):
+        turns = [
+            turn
+            for trial, phases in _campaign(chosen, 1e-6)
+            for turn in _path(_displacement(trial, phases), phases, None)[1]
+        ]
+        assert len(turns) >= 4
+        told.append(servo_of([turn.corner for turn in turns], [turn.shape for turn in turns]))
+    assert told[0] is None
+    assert told[1] is not None
+    assert not told[1].even
+    assert told[1].lag == pytest.approx(SHAPE.lag, rel=0.15)
+    assert told[1].duration == pytest.approx(SHAPE.duration, rel=0.15)
