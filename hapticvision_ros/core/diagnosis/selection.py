@@ -192,7 +192,7 @@ def _shown(trial: FitTrial) -> bool:
     the force, tell nothing of that.
     """
     return any(
-        bend.lasts > _RESOLVED * trial.path.interval
+        (bend.common or bend.lasts > _RESOLVED * trial.path.interval)
         for bend in trial.path.bends
         if bend.t > trial.t_contact
         and (trial.t_release is None or bend.t + 0.5 * bend.shape.duration < trial.t_release)
@@ -356,10 +356,12 @@ def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
         parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
         parts[told] -= 2.0 * np.log(white.weight[told])
         if trial.t_release is not None:
-            stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
+            begins = [bend for bend in trial.path.bends if bend.stop > trial.t_release]
+            stops = [bend.stop for bend in begins]
             first = trial.t_release - _BESIDE * trial.interval
             last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
-            release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
+            if not any(bend.common for bend in begins[:1]):
+                release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
         if not _shown(trial):
             near = np.abs(trial.middle - trial.t_stop) < _RESOLVED * trial.path.interval
             stop += float(parts[near].sum())

@@ -93,12 +93,15 @@ class Bend:
         Speed after less speed before [m/s].
     shape : Shape
         How the speed changes.
+    common : bool
+        Whether that is how the arm makes all its changes of speed.
 
     """
 
     t: float
     turn: float
     shape: Shape
+    common: bool = False
 
     @property
     def lasts(self) -> float:

@@ -1046,7 +1046,7 @@ def _bend(
     scale = max(noise**2, squares / corner.t.size)
     sharp = corner.left(Shape(0.0), shift)
     shown = servo is not None or sharp - squares > _SHOWN * scale
-    bend = Bend(meeting, corner.turn, shape if shown else Shape(0.0))
+    bend = Bend(meeting, corner.turn, shape if shown else Shape(0.0), servo is not None)
     return _Turned(bend, level, corner, shape)
 
 
