@@ -206,7 +206,20 @@ def analyse_campaign(
         before, after, diagnosis, warnings = _fits(trials, model, tell, workers, bootstrap)
     except UsageError as error:
         return _nothing_fitted(trials, held_out, Model(), str(error))
+    if diagnosis is not None and diagnosis.late:
+        trials, held_out = (_earlier(each, diagnosis.late) for each in (trials, held_out))
     return _compared(trials, held_out, before, after, diagnosis, warnings, tell)
+
+
+def _earlier(trials: Sequence[TrialAnalysis], late: float) -> list[TrialAnalysis]:
+    """Return trials whose tool heights have earlier stamps."""
+    from hapticvision_ros.core.diagnosis.search import earlier
+
+    pairs = [(each.trial, each.segmentation) for each in trials]
+    return [
+        replace(each, trial=trial, segmentation=phases)
+        for each, (trial, phases) in zip(trials, earlier(pairs, late), strict=True)
+    ]
 
 
 def _fits(
@@ -227,9 +240,10 @@ def _fits(
         if campaigns:
             from hapticvision_ros.core.diagnosis.bootstrap import bootstrap
 
+            looked_at = _earlier(trials, found.late) if found.late else trials
             used = [
                 trial.segmentation
-                for trial, fitted in zip(trials, found.before.trials, strict=True)
+                for trial, fitted in zip(looked_at, found.before.trials, strict=True)
                 if fitted is not None
             ]
             chance = bootstrap(found, used, campaigns, progress=tell, workers=workers)

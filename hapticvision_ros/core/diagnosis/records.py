@@ -215,6 +215,9 @@ class Diagnosis:
     laws : tuple of str
         Those of the accepted effects that follow another law than the usual one, as
         ``effect:law``.
+    late : float
+        By how much the stamps of the tool's height were late, and have been moved before all
+        this [s].
 
     """
 
@@ -231,3 +234,4 @@ class Diagnosis:
     warnings: tuple[str, ...]
     bootstrap: Bootstrap | None = None
     laws: tuple[str, ...] = ()
+    late: float = 0.0

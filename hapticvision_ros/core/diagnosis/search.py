@@ -61,7 +61,8 @@ from hapticvision_ros.core.fit.campaign import (
     Segmented,
 )
 from hapticvision_ros.core.fit.data import prepare
-from hapticvision_ros.core.records import FloatArray, Segmentation
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
+from hapticvision_ros.core.segmentation import segment
 import numpy as np
 
 LOAD_CELL_GAIN: Final = 'load_cell_gain'
@@ -97,6 +98,7 @@ def diagnose(
     progress: Callable[[str], None] | None = None,
     workers: int = 1,
     limits: PushLimits | None = None,
+    dated: bool = False,
 ) -> Diagnosis:
     """
     Find what the three-element model lacks.
@@ -111,11 +113,14 @@ def diagnose(
         Threads.
     limits : PushLimits, optional
         What the cell can do, for the push to make next.
+    dated : bool
+        Whether the stamps of the tool's height are known to be right. Otherwise they are looked
+        at, and moved in all trials where they are late.
 
     Returns
     -------
     Diagnosis
-        The answer.
+        The answer, for the trials as they were moved: see `Diagnosis.late`.
 
     Raises
     ------
@@ -137,8 +142,26 @@ def diagnose(
         prepared, known = prepare(trials, windows=True)
         before = fit_prepared(prepared, Model(), near=before, warnings=known)
     phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
-    search = _Search(before, phases, workers, tell, limits, line=line)
+    search = _Search(before, phases, workers, tell, limits, line=line, dated=dated)
     outcome = search.run()
+    if outcome.late:
+        tell(f"moving the stamps of the tool's height by {1e3 * outcome.late:.3g} ms")
+        again = diagnose(
+            earlier(trials, outcome.late),
+            progress=progress,
+            workers=workers,
+            limits=limits,
+            dated=True,
+        )
+        return replace(
+            again,
+            late=outcome.late,
+            warnings=(
+                f"the stamps of the tool's height are {1e3 * outcome.late:.3g} ms late against "
+                'those of the force in all trials: they were moved back by that',
+                *again.warnings,
+            ),
+        )
     after = before
     if outcome.effects:
         tell('fitting the model with ' + ', '.join(outcome.effects))
@@ -165,6 +188,34 @@ def diagnose(
     )
 
 
+def earlier(
+    trials: Sequence[tuple[Trial, Segmentation]], late: float
+) -> list[tuple[Trial, Segmentation]]:
+    """
+    Return trials whose tool heights have earlier stamps, with their phases.
+
+    Parameters
+    ----------
+    trials : sequence of (Trial, Segmentation)
+        As they were measured.
+    late : float
+        By how much the stamps are late [s].
+
+    Returns
+    -------
+    list of (Trial, Segmentation)
+        With phases that are looked for anew.
+
+    """
+    moved = []
+    for trial, _ in trials:
+        tool = trial.tool_height
+        there = replace(trial, tool_height=Signal(tool.t - late, tool.value))
+        phases = segment(there.force, there.tool_height, there.displacement_height)
+        moved.append((there, phases))
+    return moved
+
+
 @dataclass(frozen=True, slots=True)
 class _Outcome:
     """What the search has come to."""
@@ -181,6 +232,7 @@ class _Outcome:
     warnings: tuple[str, ...]
     chosen: Refit
     scatter: FloatArray | None
+    late: float = 0.0
 
 
 type _Chosen = tuple[Refit, tuple[Round, ...], tuple[str, ...]]
@@ -199,8 +251,10 @@ class _Search:
         limits: PushLimits | None,
         *,
         line: bool,
+        dated: bool,
     ) -> None:
         self.before = before
+        self.dated = dated
         self.limits = limits
         self.line = line
         self.phases = phases
@@ -283,6 +337,7 @@ class _Search:
             warnings=tuple(self.warnings),
             chosen=chosen,
             scatter=scattered,
+            late=_late(chosen),
         )
 
     def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:
@@ -293,10 +348,10 @@ class _Search:
             if effect.name == LINE and not self.line:
                 # Without a line in the spectrum a sine would only follow slow noise.
                 continue
-            if without_law(effect.name) in hidden:
+            if without_law(effect.name) in hidden or (effect.misdates and self.dated):
                 continue
             shown = not effect.nuisance and visible(bench, base, tangent, effect.name)
-            if shown or LAW not in effect.name:
+            if shown or not (LAW in effect.name or effect.misdates):
                 (seen if shown else hidden).append(effect.name)
         return seen, hidden
 
@@ -519,6 +574,16 @@ class _Search:
                 f'{100.0 * size:.2g} % from trial to trial: scatter, or an effect',
             ),
         )
+
+
+def _late(refit: Refit) -> float:
+    """Return how late the stamps of the tool's height are by a model [s]."""
+    values = dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
+    for effect in refit.model.declared:
+        if effect.misdates:
+            symbol = effect.parameters[0].symbol
+            return float(values.get(symbol, values.get(f'{effect.named}.{symbol}', 0.0)))
+    return 0.0
 
 
 def _worth(bench: Workbench, refit: Refit) -> float:

@@ -24,6 +24,7 @@ from typing import Final
 from hapticvision_ros.core.effects import (
     adhesion,
     ageing,
+    arm_clock_offset,
     clock_offset,
     contact_growth,
     contact_offset,
@@ -63,6 +64,7 @@ EFFECTS: Final[tuple[Effect, ...]] = (
     machine_compliance.EFFECT,
     contact_offset.EFFECT,
     friction.EFFECT,
+    arm_clock_offset.EFFECT,
     force_drift.EFFECT,
     force_lag.EFFECT,
     clock_offset.EFFECT,

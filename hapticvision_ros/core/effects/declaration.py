@@ -207,6 +207,10 @@ class Prediction:
         The true displacement height at the ends of the steps [m].
     d_surface : ndarray, shape (p + q, n + 1)
         Derivatives of `surface`.
+    late : float
+        How late all that the tool does is in the recorded time [s].
+    late_row : int or None
+        Which row is the derivative in that, if one is.
 
     Notes
     -----
@@ -220,6 +224,8 @@ class Prediction:
     d_height: FloatArray
     surface: FloatArray
     d_surface: FloatArray
+    late: float = 0.0
+    late_row: int | None = None
 
     def look(self, t: FloatArray, at: FloatArray) -> FloatArray:
         """
@@ -239,7 +245,10 @@ class Prediction:
 
         """
         speed = np.empty(at.size)
-        sample(t, self.surface, self.d_surface, at, self.height, self.d_height, speed)
+        when = at + self.late
+        sample(t, self.surface, self.d_surface, when, self.height, self.d_height, speed)
+        if self.late_row is not None:
+            self.d_height[self.late_row] += speed
         return speed
 
 
@@ -298,6 +307,9 @@ class Effect:
         Whether each trial finds it for itself in any case, so that no campaign can show it.
     laws : tuple of Effect
         Other laws that it is known to follow, made by `following`.
+    misdates : bool
+        Whether it is stamps of the arm that are late: the data are freed from it, and nothing is
+        said to be missing in the model.
 
     """
 
@@ -319,6 +331,7 @@ class Effect:
     generalises: tuple[str, ...] = ()
     nuisance: bool = False
     laws: tuple['Effect', ...] = ()
+    misdates: bool = False
 
     @property
     def named(self) -> str:
