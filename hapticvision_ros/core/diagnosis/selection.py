@@ -42,6 +42,7 @@ from hapticvision_ros.core.fit.campaign import Problem, SHARPEST
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
+from numpy.typing import NDArray
 
 GATE: Final = 10.0
 """Gain in Schwarz's criterion from which on an effect is there."""
@@ -55,6 +56,10 @@ _RESOLVED: Final = 3.5
 """Samples of the encoders within a change of speed by which it is followed, and not guessed."""
 _QUICK_GATE: Final = 20.0
 """Gain of what draws jumps out over less than a sample."""
+_MOVED: Final = 5.0
+"""What an effect does at a stop, over what an error of its moment would do, to be told there."""
+_LOCAL: Final = 0.7
+"""Part of what an effect does from which on it acts where the tool changes its speed only."""
 _BESIDE: Final = 2
 """Samples before and after the start of the release that belong to it."""
 _AT_ONCE: Final = 0.03
@@ -147,13 +152,11 @@ def changes(bench: Workbench, one: Refit, other: Refit) -> FloatArray:
     parts = []
     force_noise, height_noise = other.force_noise.std, other.height_noise.std
     for index, trial in enumerate(bench.trials):
-        a = one.problem.predict(one.state, index, directions=False)
-        b = other.problem.predict(other.state, index, directions=False)
-        mine, theirs = _zeros(one, index), _zeros(other, index)
-        force = (a.force + mine[0] - b.force - theirs[0]) / force_noise
+        a, b = _predicted(one, index), _predicted(other, index)
+        force = (a[0] - b[0]) / force_noise
         parts.append(force * np.sqrt(trial.force_count))
         if trial.height_t.size:
-            height = (a.height + mine[1] - b.height - theirs[1]) / height_noise
+            height = (a[1] - b[1]) / height_noise
             parts.append(height * np.sqrt(trial.height_count))
     return np.concatenate(parts)
 
@@ -334,18 +337,64 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
     score = max(without.deviance - refit.deviance, 0.0)
     gain = score - price(bench, effect)
     release = stop = 0.0
-    if gain > GATE and fleeting(bench, refit, effect):
-        parts = np.subtract(_unseen(bench, without), _unseen(bench, refit)).tolist()
-        release, stop = (max(part, 0.0) for part in parts)
+    if gain > GATE:
+        brief = fleeting(bench, refit, effect)
+        shown, local = _stops_shown(bench, without, refit)
+        if brief or local:
+            before, after = (np.array(_unseen(bench, r, shown)) for r in (without, refit))
+            release, stop = np.maximum(before - after, 0.0).tolist()
+            # How the tool leaves is no less than how it is held, but for what is over at once.
+            release = release if brief else 0.0
     return Trialled(effect, score, gain, strength(bench, refit, without), refit, release, stop)
 
 
-def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
+def _stops_shown(bench: Workbench, without: Refit, refit: Refit) -> tuple[tuple[bool, ...], bool]:
+    """
+    Return which stops are seen well enough to tell an effect, and whether it acts at events only.
+
+    At a stop an effect does what a stop a little earlier or later would do; how exactly the
+    encoders tell when it was decides whether it is the effect.
+    """
+    shown = []
+    near = total = 0.0
+    for index, trial in enumerate(bench.trials):
+        before, after = _predicted(without, index)[0], _predicted(refit, index)[0]
+        change = (after - before) ** 2 * trial.force_count
+        stop = _about(trial, trial.t_stop)
+        at_events = stop | _about(trial, trial.t_contact)
+        if trial.t_release is not None:
+            at_events |= _about(trial, trial.t_release)
+        near += float(change[at_events].sum())
+        total += float(change.sum())
+        slope = np.gradient(before, trial.middle) if trial.middle.size > 1 else before * 0.0
+        moved = (slope * _moment_error(trial)) ** 2 * trial.force_count
+        seen = _shown(trial) and change[stop].sum() > _MOVED**2 * moved[stop].sum()
+        shown.append(bool(seen))
+    return tuple(shown), near > _LOCAL * total
+
+
+def _about(trial: FitTrial, t: float) -> NDArray[np.bool_]:
+    """Return the steps in which the tool changes its speed at an event."""
+    reach = _RESOLVED * trial.path.interval
+    first, last = t - reach, t + reach
+    for bend in trial.path.bends:
+        if bend.start < t < bend.stop:
+            first, last = min(first, bend.start), max(last, bend.stop)
+    return np.asarray((trial.middle > first) & (trial.middle < last))
+
+
+def _moment_error(trial: FitTrial) -> float:
+    """Return how exactly the encoders tell when the tool stopped, as a standard error [s]."""
+    near = [bend.error for bend in trial.path.bends if bend.start < trial.t_stop < bend.stop]
+    return near[0] if near else trial.path.interval
+
+
+def _unseen(bench: Workbench, refit: Refit, shown: Sequence[bool]) -> tuple[float, float]:
     """
     Return the parts of the deviance that are told where the arm's motion is not seen well enough.
 
     The first is the start of the releases, where the way within a sample decides when the tool
-    leaves; the second the stops that the encoders do not show.
+    leaves; the second the stops that are not `shown`, one for each trial.
     """
     release = stop = 0.0
     filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
@@ -356,15 +405,12 @@ def _unseen(bench: Workbench, refit: Refit) -> tuple[float, float]:
         parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
         parts[told] -= 2.0 * np.log(white.weight[told])
         if trial.t_release is not None:
-            begins = [bend for bend in trial.path.bends if bend.stop > trial.t_release]
-            stops = [bend.stop for bend in begins]
+            stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
             first = trial.t_release - _BESIDE * trial.interval
             last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
-            if not any(bend.common for bend in begins[:1]):
-                release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
-        if not _shown(trial):
-            near = np.abs(trial.middle - trial.t_stop) < _RESOLVED * trial.path.interval
-            stop += float(parts[near].sum())
+            release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
+        if not shown[index]:
+            stop += float(parts[_about(trial, trial.t_stop)].sum())
     return release, stop
 
 
@@ -492,7 +538,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list
             seen = each.strength > weakest
             # What acts for a short while, such as adhesion, is weak over whole trials.
             seen |= not strongest and each.gain > CERTAIN
-            return seen and each.gain > GATE
+            return seen and _seen(each) > GATE
         if not _draws_out(bench, each, weakest, _seen(each)):
             return False
         # What a simpler one tells as well is not there where that one is refused.
@@ -611,6 +657,8 @@ def eliminate(
     return chosen, tuple(order)
 
 
-def _zeros(refit: Refit, index: int) -> tuple[float, float]:
+def _predicted(refit: Refit, index: int) -> tuple[FloatArray, FloatArray]:
+    """Return the force and the height of a trial as the sensors show them by a model."""
+    prediction = refit.problem.predict(refit.state, index, directions=False)
     _, force, height = refit.problem.own(refit.state, index)
-    return force, height
+    return prediction.force + force, prediction.height + height

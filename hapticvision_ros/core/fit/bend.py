@@ -95,6 +95,8 @@ class Bend:
         How the speed changes.
     common : bool
         Whether that is how the arm makes all its changes of speed.
+    error : float
+        Standard error of `t` [s].
 
     """
 
@@ -102,6 +104,7 @@ class Bend:
     turn: float
     shape: Shape
     common: bool = False
+    error: float = 0.0
 
     @property
     def lasts(self) -> float:

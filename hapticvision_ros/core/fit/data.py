@@ -1014,6 +1014,7 @@ def _bend(
     left, start, stop, right = around
     margin = max(stop - start, edge * step)
     lines = []
+    variance = 0.0
     rest = -1
     for k, (first, last) in enumerate(((left, start - margin), (stop + margin, right))):
         inside = (t >= first) & (t <= last)
@@ -1025,6 +1026,9 @@ def _bend(
         if coarse > 0.0 and np.mean(np.abs(value[inside] - reading) < coarse) > _STILL:
             rest = k
             lines[k] = reading, 0.0
+        # Of a line at its end, or of a rest at any place within a step of the encoders.
+        count = np.count_nonzero(inside)
+        variance += coarse**2 / 12.0 if rest == k else 4.0 * noise**2 / count
     if lines[0][1] == lines[1][1]:
         return None
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
@@ -1046,7 +1050,13 @@ def _bend(
     scale = max(noise**2, squares / corner.t.size)
     sharp = corner.left(Shape(0.0), shift)
     shown = servo is not None or sharp - squares > _SHOWN * scale
-    bend = Bend(meeting, corner.turn, shape if shown else Shape(0.0), servo is not None)
+    bend = Bend(
+        meeting,
+        corner.turn,
+        shape if shown else Shape(0.0),
+        servo is not None,
+        math.sqrt(variance) / abs(corner.turn),
+    )
     return _Turned(bend, level, corner, shape)
 
 

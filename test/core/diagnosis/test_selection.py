@@ -143,7 +143,8 @@ def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=250.0), seed=1).bench()
-    release, stop = _unseen(bench, base)
+    shown = [_shown(trial) for trial in bench.trials]
+    release, stop = _unseen(bench, base, shown)
     # The encoders show the stop of the quick push, and not that of the slow one.
     assert len([t for t in bench.trials if _shown(t)]) == 1
     assert release != 0.0 and stop != 0.0
@@ -153,7 +154,7 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
         for trial, end in zip(bench.trials, ends, strict=True)
     ]
     # A release that lasts for the whole trial tells all of what the force tells.
-    release, _ = _unseen(Workbench(late, None, bench.memory), base)
+    release, _ = _unseen(Workbench(late, None, bench.memory), base, shown)
     told = 0.0
     filters = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
     for index, (white, _) in enumerate(filters):
