@@ -53,6 +53,7 @@ from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
 from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import LAW, without_law
+from hapticvision_ros.core.fit.bend import Servo, told
 from hapticvision_ros.core.fit.campaign import (
     Fit,
     fit_prepared,
@@ -60,7 +61,8 @@ from hapticvision_ros.core.fit.campaign import (
     pairs_of,
     Segmented,
 )
-from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.data import along, arm_of, FitTrial, prepare
+from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 import numpy as np
@@ -84,6 +86,11 @@ _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
 _OPEN: Final = 4
 """Candidates beside those in the sets among which the choice is made anew without some trials."""
+_ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
+"""Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
+_ARM_TURNS: Final = 20
+_PROMISING: Final = 0.1
+"""Part of what effects take out that one of these must take out to look further."""
 _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_SHARE: Final = 0.03
@@ -99,6 +106,7 @@ def diagnose(
     workers: int = 1,
     limits: PushLimits | None = None,
     dated: bool = False,
+    servo: Servo | None = None,
 ) -> Diagnosis:
     """
     Find what the three-element model lacks.
@@ -116,6 +124,8 @@ def diagnose(
     dated : bool
         Whether the stamps of the tool's height are known to be right. Otherwise they are looked
         at, and moved in all trials where they are late.
+    servo : Servo, optional
+        How the arm changes its speed; what encoders and forces tell of it by default.
 
     Returns
     -------
@@ -135,11 +145,11 @@ def diagnose(
 
     trials = pairs_of(campaign)
     tell('fitting the three-element model')
-    prepared, known = prepare(trials)
+    prepared, known = prepare(trials, servo=servo)
     before = fit_prepared(prepared, Model(), warnings=known)
     line = line_spectrum(before.problem, before.state).chance < _LINE
     if line:
-        prepared, known = prepare(trials, windows=True)
+        prepared, known = prepare(trials, windows=True, servo=servo)
         before = fit_prepared(prepared, Model(), near=before, warnings=known)
     phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
     search = _Search(before, phases, workers, tell, limits, line=line, dated=dated)
@@ -152,6 +162,7 @@ def diagnose(
             workers=workers,
             limits=limits,
             dated=True,
+            servo=servo,
         )
         return replace(
             again,
@@ -162,6 +173,18 @@ def diagnose(
                 *again.warnings,
             ),
         )
+    if outcome.effects and servo is None:
+        otherwise = _otherwise(trials, prepared, before, outcome)
+        if otherwise is not None:
+            tell('trying another way of the arm to change its speed')
+            return diagnose(
+                trials,
+                progress=progress,
+                workers=workers,
+                limits=limits,
+                dated=dated,
+                servo=otherwise,
+            )
     after = before
     if outcome.effects:
         tell('fitting the model with ' + ', '.join(outcome.effects))
@@ -186,6 +209,49 @@ def diagnose(
         after=after,
         warnings=outcome.warnings,
     )
+
+
+def _otherwise(
+    trials: Sequence[tuple[Trial, Segmentation]],
+    prepared: Sequence[FitTrial | None],
+    before: Fit,
+    outcome: '_Outcome',
+) -> Servo | None:
+    """
+    Return how the arm may change its speed so that fewer effects explain the forces as well.
+
+    Encoders that round leave a lag or a mass at each stop open. What they tell, and what the
+    forces tell beside each smaller model, is taken together.
+    """
+    known, corners = arm_of(trials)
+    if known is None:
+        return None
+    start = told(corners, known)
+    memory, scatter = before.noise.memory, outcome.scatter
+    bench = Workbench(before.problem.trials, scatter, memory)
+    reached = _worth(bench, outcome.chosen)
+    for each in outcome.rounds:
+        if not each.alike:
+            break
+        smaller = each.without.as_fit(before)
+        paid = sum(price(bench, name) for name in smaller.model.effects)
+        least = _worth(bench, each.without)
+
+        def cost(x: FloatArray, smaller: Fit = smaller, paid: float = paid) -> float:
+            tried = known.changed(*x.tolist())
+            moved = Workbench(along(trials, prepared, tried), scatter, memory)
+            found = moved.base(smaller)
+            return found.deviance + paid + told(corners, tried) - start
+
+        # A step in each direction shows whether it is worth while to look further.
+        steps = np.vstack((_ARM_STEPS, -_ARM_STEPS))
+        first = min(cost(step) for step in steps)
+        if least - first < _PROMISING * (least - reached):
+            continue
+        left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
+        if left < reached + LEAD:
+            return known.changed(*x.tolist())
+    return None
 
 
 def earlier(
@@ -233,6 +299,7 @@ class _Outcome:
     chosen: Refit
     scatter: FloatArray | None
     late: float = 0.0
+    rounds: tuple[Round, ...] = ()
 
 
 type _Chosen = tuple[Refit, tuple[Round, ...], tuple[str, ...]]
@@ -338,6 +405,7 @@ class _Search:
             chosen=chosen,
             scatter=scattered,
             late=_late(chosen),
+            rounds=rounds,
         )
 
     def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:

@@ -27,7 +27,7 @@ ch. 3.2 and 4.6 (trapezoidal and double-S profiles, and these as filters in a ro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 import math
 from typing import Final, NamedTuple
@@ -339,6 +339,8 @@ class Servo:
         Time constant of the lag [s].
     even : bool
         Whether the acceleration is the same for all changes, and not its duration.
+    lasts : float
+        How long the acceleration of a usual change of speed lasts [s].
 
     """
 
@@ -346,6 +348,33 @@ class Servo:
     jerk: float
     lag: float
     even: bool
+    lasts: float
+
+    def changed(self, duration: float, lag: float, jerk: float) -> 'Servo':
+        """
+        Return an arm that does it somewhat otherwise.
+
+        Parameters
+        ----------
+        duration : float
+            Logarithm of the ratio of how long the acceleration lasts.
+        lag, jerk : float
+            What is added to lag and jerk, over how long a change of speed lasts; none of both
+            gets below zero.
+
+        """
+        scale = self.lasts
+        soft = min(max(self.jerk + jerk * (scale if self.even else 1.0), 0.0), self._softest)
+        return replace(
+            self,
+            duration=self.duration * math.exp(duration),
+            jerk=soft,
+            lag=max(self.lag + lag * scale, 0.0),
+        )
+
+    @property
+    def _softest(self) -> float:
+        return self.lasts if self.even else 1.0
 
     def shape(self, turn: float) -> Shape:
         """Return how a change of speed [m/s] goes."""
@@ -353,6 +382,11 @@ class Servo:
             return Shape(self.duration, self.jerk * self.duration, self.lag)
         duration = max(self.duration * abs(turn), 1e-9)
         return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag)
+
+
+def told(corners: Sequence[Corner], servo: Servo) -> float:
+    """Return minus twice the log likelihood of how an arm changes its speed."""
+    return sum(corner.deviance(servo.shape(corner.turn)) for corner in corners)
 
 
 def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
@@ -364,6 +398,7 @@ def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
         jerk * scale if even else jerk,
         lag * scale,
         even,
+        scale,
     )
 
 
@@ -372,10 +407,9 @@ def _left(
 ) -> float:
     """Return minus twice the log likelihood of a servo."""
     servo = _servo(x, *kind)
-    made = [servo.shape(corner.turn) for corner in corners]
-    if np.any(x[1:] < 0.0) or max(sum(shape) for shape in made) > longest:
+    if np.any(x[1:] < 0.0) or max(sum(servo.shape(c.turn)) for c in corners) > longest:
         return math.inf
-    return sum(corner.deviance(shape) for corner, shape in zip(corners, made, strict=True))
+    return told(corners, servo)
 
 
 def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:

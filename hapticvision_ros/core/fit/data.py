@@ -424,7 +424,10 @@ class FitTrial:
 
 
 def prepare(
-    trials: Sequence[tuple[Trial, Segmentation]], *, windows: bool = False
+    trials: Sequence[tuple[Trial, Segmentation]],
+    *,
+    windows: bool = False,
+    servo: Servo | None = None,
 ) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
     """
     Return trials in the form that the fit works with.
@@ -436,6 +439,8 @@ def prepare(
     windows : bool
         Whether each force sample has a step of its own not only near events but also in windows
         all over the trial, for what is faster than the steps elsewhere.
+    servo : Servo, optional
+        How the arm changes its speed; what the encoders tell of it by default.
 
     Returns
     -------
@@ -449,7 +454,8 @@ def prepare(
     warnings: list[str] = []
     unknown: list[str | None] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
-    servo = _servo_of(trials)
+    if servo is None:
+        servo = arm_of(trials)[0]
     for trial, phases in trials:
         made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo)
         if isinstance(made, str):
@@ -624,17 +630,71 @@ def _prepare(
     return raw.full_rate
 
 
-def _servo_of(trials: Sequence[tuple[Trial, Segmentation]]) -> Servo | None:
-    """Return how the arm changes its speed, if the trials tell that it does so alike."""
+def arm_of(
+    trials: Sequence[tuple[Trial, Segmentation]],
+) -> tuple[Servo | None, tuple[Corner, ...]]:
+    """
+    Return how the arm changes its speed.
+
+    Parameters
+    ----------
+    trials : sequence of (Trial, Segmentation)
+        A campaign.
+
+    Returns
+    -------
+    servo : Servo or None
+        How it makes all changes of speed, if the trials tell that it does so alike.
+    corners : tuple of Corner
+        What the encoders tell of each.
+
+    """
     turns: list[_Turned] = []
     for trial, phases in trials:
-        tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
-        if phases.t_contact is None or phases.contact_height is None or len(tool) < _FEWEST:
-            continue
-        displacement = Signal(tool.t, phases.contact_height - tool.value)
-        if displacement.value.max() > 0.0:
+        displacement = _displacement(trial, phases)
+        if displacement is not None and displacement.value.max() > 0.0:
             turns += _path(displacement, phases, None)[1]
-    return servo_of([turn.corner for turn in turns], [turn.shape for turn in turns])
+    corners = tuple(turn.corner for turn in turns)
+    return servo_of(corners, [turn.shape for turn in turns]), corners
+
+
+def along(
+    trials: Sequence[tuple[Trial, Segmentation]], made: Sequence[FitTrial | None], servo: Servo
+) -> tuple[FitTrial, ...]:
+    """
+    Return trials with the same steps, whose tool goes as an arm would make it.
+
+    Parameters
+    ----------
+    trials : sequence of (Trial, Segmentation)
+        A campaign.
+    made : sequence of (FitTrial or None)
+        What `prepare` returned for it.
+    servo : Servo
+        How the arm changes its speed.
+
+    Returns
+    -------
+    tuple of FitTrial
+        Those that are not None.
+
+    """
+    moved = []
+    for (trial, phases), each in zip(trials, made, strict=True):
+        displacement = _displacement(trial, phases)
+        if each is None or displacement is None:
+            continue
+        path = tool_path(displacement, phases, servo)
+        moved.append(replace(each, path=path, displacement=path.at(each.t)))
+    return tuple(moved)
+
+
+def _displacement(trial: Trial, phases: Segmentation) -> Signal | None:
+    """Return the tool's displacement beyond the detected touch; None without one."""
+    tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
+    if phases.t_contact is None or phases.contact_height is None or len(tool) < _FEWEST:
+        return None
+    return Signal(tool.t, phases.contact_height - tool.value)
 
 
 def _is_pressed(height: Signal | None) -> bool:

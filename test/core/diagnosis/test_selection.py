@@ -145,7 +145,9 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2], rate=250.0), seed=1).bench()
     # Each by itself: all of a campaign together show more.
     alone = [
-        replace(t, path=replace(t.path, bends=tuple(replace(b, common=False) for b in t.path.bends)))
+        replace(
+            t, path=replace(t.path, bends=tuple(replace(b, common=False) for b in t.path.bends))
+        )
         for t in bench.trials
     ]
     shown = [_shown(trial) for trial in alone]
