@@ -348,7 +348,7 @@ class Effect:
         observe: Observe | None = None,
         shape: Shape | None = None,
         kind: Literal['object', 'cell', 'sensor'] | None = None,
-        parameters: tuple[EffectParameter, ...] = (),
+        parameters: tuple[EffectParameter, ...] | None = None,
     ) -> 'Effect':
         """
         Return the effect by another law, which is looked for where the usual one does not suffice.
@@ -363,8 +363,9 @@ class Effect:
             What takes the place of both of the effect.
         kind : {'object', 'cell', 'sensor'}, optional
             Where it sits by this law, if it is not where the effect sits.
-        parameters : tuple of EffectParameter
-            What the law adds to the parameters of the effect.
+        parameters : tuple of EffectParameter, optional
+            What takes the place of the parameters of the effect; of the same meaning, with what
+            the law adds to them.
 
         Returns
         -------
@@ -382,7 +383,7 @@ class Effect:
             source=source,
             observe=observe,
             shape=shape,
-            parameters=(*self.parameters, *parameters),
+            parameters=self.parameters if parameters is None else parameters,
             time_constant=None if shape is None else self.time_constant,
             extra=True,
             laws=(),

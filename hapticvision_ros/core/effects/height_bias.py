@@ -96,6 +96,7 @@ EFFECT = replace(
             source=_BELOW.source,
             observe=_near,
             parameters=(
+                *_BELOW.parameters,
                 EffectParameter(
                     'c',
                     'm',
