@@ -17,11 +17,13 @@
 from collections.abc import Sequence
 
 from hapticvision_ros.core.effects.declaration import (
+    Draft,
     DrivenTrial,
     Effect,
     EffectParameter,
     Prediction,
 )
+from hapticvision_ros.core.models.chain import Slot
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -34,6 +36,15 @@ def _means(
     np.cumsum(force * length, axis=-1, out=impulse[..., 1:])
     reached = impulse[..., step] + force[..., np.minimum(step, length.size - 1)] * into
     return np.asarray(np.diff(reached, axis=-1) / length)
+
+
+def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    # The touch, which each trial finds for itself, stays when it is: a search that has to move
+    # all of them along does not find its way.
+    below = trial.displacement > 0.0
+    touch = int(np.argmax(below[1:] & ~below[:-1]))
+    way = trial.displacement[touch + 1] - trial.displacement[touch]
+    draft.add(Slot.OFFSET, -values[0] * float(way / (trial.t[touch + 1] - trial.t[touch])))
 
 
 def _observe(
@@ -69,7 +80,9 @@ EFFECT = Effect(
             "how much later the stamps of the tool's height are than those of force and height",
             0.0,
             1.0,
-            lambda scale: 0.0,
+            # A change of speed is short: beyond it a search does not find its way.
+            lambda scale: min(scale.sampling_interval, 0.3),
+            scan=(1.0, 3.0),
         ),
     ),
     validity=(
@@ -81,6 +94,7 @@ EFFECT = Effect(
         'P. Furgale, J. Rehder and R. Siegwart, IEEE/RSJ IROS 2013, 1280-1286, '
         'doi:10.1109/IROS.2013.6696514 (offset of clocks as a parameter of the fit).'
     ),
+    shape=_shape,
     observe=_observe,
     misdates=True,
 )

@@ -23,6 +23,8 @@ from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.search import diagnose
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
+from hapticvision_ros.core.pipeline import analyse, analyse_campaign
+from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import random_campaign, run
 from hapticvision_ros.sim.specimen import Undeclared
@@ -124,6 +126,49 @@ def test_an_effect_is_named_by_whatever_law_it_acts(
     assert abs(estimate.value - other.values[0]) < NOISES * estimate.std
     assert estimate.std < 0.1 * abs(other.values[0])
     assert [each.effect for each in found.ranking].count(effect) == 1
+
+
+def _late(world: Any, late: float, *effects: Undeclared) -> Any:
+    """Return a campaign whose arm tells its place later than the load cell its force."""
+
+    def stamped(trial: Trial) -> Trial:
+        tool = trial.tool_height
+        return replace(trial, tool_height=Signal(tool.t + late, tool.value))
+
+    return world.measure(world.campaign(rate=500.0), *effects, seed=21, change=stamped)
+
+
+def test_stamps_of_the_arm_that_are_late_are_moved_and_no_effect(world: Any) -> None:
+    measured = _late(world, 0.008)
+    as_they_are = diagnose(measured.pairs, dated=True)
+    assert as_they_are.effects == ('inertia',)
+    found = diagnose(measured.pairs)
+    assert (found.status, found.effects) == ('none', ())
+    assert found.late == pytest.approx(0.008, abs=2e-4)
+    assert 'are 8 ms late' in ''.join(found.warnings).replace('7.99', '8').replace('8.01', '8')
+    assert 'arm_clock_offset' not in found.not_testable
+    body = measured.truth.body
+    off = np.exp(found.before.theta[:3]) / [body.K1, body.C1, body.C2] - 1.0
+    assert np.abs(off).max() < 0.01
+
+
+def test_an_effect_beside_late_stamps_is_named_alone(world: Any) -> None:
+    found = diagnose(_late(world, 0.008, YIELD).pairs)
+    assert (found.status, found.effects) == ('explained', ('yield_force',))
+    assert found.late == pytest.approx(0.008, abs=3e-4)
+    assert abs(found.after.parameters['F_y'].value - YIELD.values[0]) < 0.02
+
+
+def test_the_whole_analysis_has_the_moved_stamps(world: Any) -> None:
+    trials = [analyse(trial) for trial, _ in _late(world, 0.008).pairs]
+    whole = analyse_campaign(trials[:3], trials[3:])
+    assert whole.diagnosis is not None
+    assert whole.diagnosis.status == 'none'
+    assert whole.before is not None
+    assert whole.before.held_out is not None
+    # The trial that is held out has been moved as well.
+    force = whole.before.held_out.total['force']
+    assert force.chi2 == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_campaign_that_the_base_explains_says_none(case: Any) -> None:
