@@ -173,7 +173,7 @@ def diagnose(
                 *again.warnings,
             ),
         )
-    if outcome.effects and servo is None:
+    if (outcome.effects or outcome.rest) and servo is None:
         otherwise = _otherwise(trials, prepared, before, outcome)
         if otherwise is not None:
             tell('trying another way of the arm to change its speed')
@@ -218,7 +218,7 @@ def _otherwise(
     outcome: '_Outcome',
 ) -> Servo | None:
     """
-    Return how the arm may change its speed so that fewer effects explain the forces as well.
+    Return how the arm may change its speed so that fewer effects, or none, explain the forces.
 
     Encoders that round leave a lag or a mass at each stop open. What they tell, and what the
     forces tell beside each smaller model, is taken together.
@@ -230,8 +230,10 @@ def _otherwise(
     memory, scatter = before.noise.memory, outcome.scatter
     bench = Workbench(before.problem.trials, scatter, memory)
     reached = _worth(bench, outcome.chosen)
+    if outcome.rest and not outcome.effects:
+        reached -= outcome.rest[0].gain
     for each in outcome.rounds:
-        if not each.alike:
+        if not each.alike and (outcome.effects or not outcome.rest):
             break
         smaller = each.without.as_fit(before)
         paid = sum(price(bench, name) for name in smaller.model.effects)
@@ -300,6 +302,7 @@ class _Outcome:
     scatter: FloatArray | None
     late: float = 0.0
     rounds: tuple[Round, ...] = ()
+    rest: tuple[Found, ...] = ()
 
 
 type _Chosen = tuple[Refit, tuple[Round, ...], tuple[str, ...]]
@@ -406,6 +409,7 @@ class _Search:
             scatter=scattered,
             late=_late(chosen),
             rounds=rounds,
+            rest=rest,
         )
 
     def _testable(self, bench: Workbench, base: Refit) -> tuple[list[str], list[str]]:

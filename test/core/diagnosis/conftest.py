@@ -32,7 +32,7 @@ from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.search import diagnose
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
-from hapticvision_ros.core.records import FloatArray, Segmentation, Trial
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import (
     Campaign,
@@ -44,7 +44,13 @@ from hapticvision_ros.sim.campaigns import (
     Truth,
     write_bags,
 )
-from hapticvision_ros.sim.specimen import Body, Undeclared
+from hapticvision_ros.sim.specimen import (
+    Body,
+    integrate,
+    Motion,
+    parameter_vector,
+    Undeclared,
+)
 import numpy as np
 import pytest
 
@@ -56,6 +62,9 @@ UNSEEN = (0.007, 0.005)
 REPEATED = ((0.004, 0.006), (0.012, 0.004)) * 3
 DEPTH = 0.006
 CORRELATION_TIME = 0.01
+_STEP = 1e-3
+SURFACE = 0.05
+"""Height of the object [m]."""
 
 
 @dataclass(frozen=True)
@@ -183,3 +192,79 @@ def case(world: World, tmp_path_factory: pytest.TempPathFactory) -> Callable[...
 def without_height() -> Callable[[Trial], Trial]:
     """Return what takes a trial's own range sensor away: the tool's height stands in for it."""
     return lambda trial: replace(trial, displacement_source='tool')
+
+
+def _speeds(t: FloatArray, speed: float, stop: float, smooth: float, lag: float) -> FloatArray:
+    """Return the speed of an arm that stops, by two moving averages and a lag."""
+    commanded = np.where(t < stop, speed, 0.0)
+    count = round(smooth / _STEP)
+    for _ in range(2):
+        total = np.cumsum(np.concatenate((np.full(count, commanded[0]), commanded)))
+        commanded = (total[count:] - total[:-count]) / count
+    followed = np.empty(t.size)
+    last, keep = commanded[0], np.exp(-_STEP / lag)
+    for k, each in enumerate(commanded):
+        last = keep * last + (1.0 - keep) * each
+        followed[k] = last
+    return followed
+
+
+def smoothed_pushes(
+    body: Body,
+    depths: Sequence[float],
+    *,
+    speed: float,
+    smooth: float,
+    lag: float,
+    resolution: float,
+    noise: float,
+    hold: float = 6.0,
+    seed: int = 0,
+) -> list[Pair]:
+    """
+    Return pushes that hold.
+
+    The commands of the arm are smoothed twice, and it follows them with a lag; the force comes at
+    500 Hz, the encoders at 125 Hz.
+    """
+    random = np.random.default_rng(seed)
+    made = []
+    for index, depth in enumerate(depths):
+        gap = 1.5 * speed
+        stop = (gap + depth) / speed
+        t = np.arange(0.0, stop + hold, _STEP)
+        v = _speeds(t, speed, stop, smooth, lag)
+        way = np.concatenate(([0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * _STEP))) - gap
+        motion = Motion(t, way, v, np.append(np.diff(v) / _STEP, 0.0))
+        history = integrate(t, motion, parameter_vector(body))
+        impulse = np.concatenate(([0.0], np.cumsum(history.force * np.diff(history.t))))
+        at = np.arange(0.01, t[-1] - 0.01, 0.002)
+        mean = np.interp(at + 0.001, history.t, impulse) - np.interp(
+            at - 0.001, history.t, impulse
+        )
+        force = Signal(at, mean / 0.002 + noise * random.standard_normal(at.size))
+        tool_t = np.arange(0.003, t[-1], 0.008)
+        read = SURFACE - np.interp(tool_t, t, way)
+        if resolution:
+            read = np.round(read / resolution) * resolution
+        height_t = np.arange(0.01, t[-1], 1.0 / 30.0)
+        height = np.interp(height_t, history.t, history.surface)
+        height += 3e-5 * random.standard_normal(height_t.size)
+        trial = Trial(
+            name=f'trial_{index + 1:02d}',
+            start_ns=1_700_000_000_000_000_000 + index * 60_000_000_000,
+            force=force,
+            tool_height=Signal(tool_t, read),
+            displacement_height=Signal(height_t, height),
+            displacement_source='topic',
+            push_velocity=None,
+            phases=(),
+        )
+        made.append((trial, segment(trial.force, trial.tool_height, trial.displacement_height)))
+    return made
+
+
+@pytest.fixture
+def smoothed() -> Callable[..., list[Pair]]:
+    """Return `smoothed_pushes`."""
+    return smoothed_pushes

@@ -19,6 +19,7 @@ from dataclasses import replace
 import math
 from typing import Any
 
+from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.search import diagnose
 from hapticvision_ros.core.fit.data import prepare
@@ -27,7 +28,7 @@ from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import random_campaign, run
-from hapticvision_ros.sim.specimen import Undeclared
+from hapticvision_ros.sim.specimen import Body, Undeclared
 import numpy as np
 import pytest
 
@@ -169,6 +170,27 @@ def test_the_whole_analysis_has_the_moved_stamps(world: Any) -> None:
     # The trial that is held out has been moved as well.
     force = whole.before.held_out.total['force']
     assert force.chi2 == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize('resolution', [1e-5, 2e-5])
+def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
+    smoothed: Any, resolution: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commands that are smoothed over 128 ms, a lag of 28 ms, encoders that round."""
+    made = smoothed(
+        Body(1000.0, 900.0, 1600.0),
+        (0.0028, 0.0013, 0.0028, 0.0013, 0.002),
+        speed=0.0027,
+        smooth=0.064,
+        lag=0.028,
+        resolution=resolution,
+        noise=0.01,
+    )
+    found = diagnose(made)
+    assert (found.status, found.effects) == ('none', ())
+    # By what the encoders alone tell of the stops, something would be left.
+    monkeypatch.setattr(search, '_otherwise', lambda *_: None)
+    assert diagnose(made).status == 'unexplained'
 
 
 def test_a_campaign_that_the_base_explains_says_none(case: Any) -> None:
