@@ -266,6 +266,7 @@ class Model:
             d_height=np.empty((d_surface.shape[0], trial.height_t.size)),
             surface=response.surface,
             d_surface=d_surface,
+            touched=response.force != 0.0,
         )
         prediction.look(trial.t, trial.height_t)
         for effect, own in zip(self.declared, self._owned, strict=True):

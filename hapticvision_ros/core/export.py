@@ -36,6 +36,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from hapticvision_ros.core.composition import BASE, BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
+from hapticvision_ros.core.effects.declaration import without_law
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.chain import Slot
 from hapticvision_ros.core.records import Estimate, FloatArray
@@ -163,7 +164,7 @@ def _owners(model: Model) -> tuple[str, ...]:
     """Return the effect that each parameter belongs to."""
     owners = [BASE] * len(BASE_PARAMETERS)
     for effect in model.declared:
-        owners += [effect.named] * len(effect.parameters)
+        owners += [effect.name] * len(effect.parameters)
     return tuple(owners)
 
 
@@ -172,7 +173,7 @@ def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) ->
     symbol = name.rpartition('.')[2]
     if effect != BASE and BY_NAME[effect].kind != 'object':
         where = BY_NAME[effect].kind
-        return _no_form(f'{effect} is of the {where}, not of the object')
+        return _no_form(f'{without_law(effect)} is of the {where}, not of the object')
     forms = {
         'K': ('E' + symbol[1:], 'Pa', specimen.modulus),
         'C': ('eta' + symbol[1:], 'Pa.s', specimen.modulus),
@@ -263,7 +264,7 @@ def links(model: Model, parameters: Mapping[str, float]) -> dict[str, Any]:
     return {
         'in_series': chain,
         'parallel_stiffness_N_m': float(slots[Slot.PARALLEL_STIFFNESS]),
-        'mass_kg': parameters.get('M', 0.0),
+        'mass_kg': parameters.get('M', 0.0) if 'inertia' in model.effects else 0.0,
         'pull_off_force_N': parameters.get('F_ad', 0.0),
         'laws': {
             effect.name: {

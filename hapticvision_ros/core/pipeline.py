@@ -216,10 +216,7 @@ def _earlier(trials: Sequence[TrialAnalysis], late: float) -> list[TrialAnalysis
     from hapticvision_ros.core.diagnosis.search import earlier
 
     pairs = [(each.trial, each.segmentation) for each in trials]
-    return [
-        replace(each, trial=trial, segmentation=phases)
-        for each, (trial, phases) in zip(trials, earlier(pairs, late), strict=True)
-    ]
+    return [analyse(trial) for trial, _ in earlier(pairs, late)]
 
 
 def _fits(
@@ -299,7 +296,7 @@ def _compared(
         told += one.warnings
     change = held_out_change(*unseen) if len(unseen) > 1 else None
     if diagnosis is not None and after is not None and change is not None:
-        names = ', '.join(after.model.effects)
+        names = ', '.join(diagnosis.effects)
         if change.change > change.std:
             told.append(
                 f'a contradiction: {names} explains the fitted trials, yet on unseen ones the '

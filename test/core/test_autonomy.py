@@ -387,4 +387,7 @@ def test_a_push_whose_speed_the_encoders_do_not_tell_is_none_that_was_made() -> 
     assert findings.repeat.push_speed == pytest.approx(0.004, rel=0.01)
     (told,) = [w for w in findings.warnings if 'no model is fitted' in w]
     assert told.startswith(f'{trials[1].name}: ')
-    assert look(trials[:1], cell()).parameters == findings.parameters
+    # It tells no more than how the arm changes its speed.
+    alone = look(trials[:1], cell()).parameters
+    for name, found in findings.parameters.items():
+        assert abs(found.value - alone[name].value) < alone[name].std

@@ -346,3 +346,14 @@ def test_the_document_says_why_a_nonlinear_body_has_no_relaxation_function() -> 
     assert at_rest['relaxation']['linearised_at'] == 'rest'
     assert at_rest['relaxation']['long_term_N_m'] == pytest.approx(2000.0)
     assert at_rest['reasons'] == {}
+
+
+def test_a_law_is_exported_as_what_it_is() -> None:
+    own = {'M': Estimate(0.3, 0.01), 'rate': Estimate(0.2, 0.01)}
+    tool = Model(('inertia:of_the_tool',))
+    quantity = material_quantities(tool, DOUGH | own, BLOCK)['M']
+    assert quantity.estimate.reason == 'inertia is of the cell, not of the object'
+    assert document(tool, DOUGH | own)['links']['mass_kg'] == 0.0
+    assert document(Model(('inertia',)), DOUGH | own)['links']['mass_kg'] == 0.3
+    aged = document(Model(('ageing:within_trials',)), DOUGH | own)['links']['laws']
+    assert aged['ageing:within_trials']['parameters'] == {'rate': 0.2}

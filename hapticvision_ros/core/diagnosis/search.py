@@ -59,6 +59,7 @@ from hapticvision_ros.core.fit.campaign import (
     fit_prepared,
     line_spectrum,
     pairs_of,
+    places_of,
     Segmented,
 )
 from hapticvision_ros.core.fit.data import along, arm_of, FitTrial, prepare
@@ -177,7 +178,7 @@ def diagnose(
         otherwise = _otherwise(trials, prepared, before, outcome)
         if otherwise is not None:
             tell('trying another way of the arm to change its speed')
-            return diagnose(
+            again = diagnose(
                 trials,
                 progress=progress,
                 workers=workers,
@@ -185,6 +186,9 @@ def diagnose(
                 dated=dated,
                 servo=otherwise,
             )
+            fewer = len(again.effects) < len(outcome.effects)
+            if fewer or (outcome.rest and again.unexplained is None):
+                return again
     after = before
     if outcome.effects:
         tell('fitting the model with ' + ', '.join(outcome.effects))
@@ -235,6 +239,8 @@ def _otherwise(
     for each in outcome.rounds:
         if not each.alike and (outcome.effects or not outcome.rest):
             break
+        if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
+            break
         smaller = each.without.as_fit(before)
         paid = sum(price(bench, name) for name in smaller.model.effects)
         least = _worth(bench, each.without)
@@ -279,6 +285,9 @@ def earlier(
     for trial, _ in trials:
         tool = trial.tool_height
         there = replace(trial, tool_height=Signal(tool.t - late, tool.value))
+        height = trial.displacement_height
+        if height is not None and trial.displacement_source == 'tool':
+            there = replace(there, displacement_height=Signal(height.t - late, height.value))
         phases = segment(there.force, there.tool_height, there.displacement_height)
         moved.append((there, phases))
     return moved
@@ -407,7 +416,7 @@ class _Search:
             warnings=tuple(self.warnings),
             chosen=chosen,
             scatter=scattered,
-            late=_late(chosen),
+            late=_late(rounds, order),
             rounds=rounds,
             rest=rest,
         )
@@ -582,7 +591,12 @@ class _Search:
             first, second = refits[each.alike[0]], refits[other]
             if first is not None and second is not None:
                 found = suggest(bench, first, second, self.phases, self.limits)
-                return None if found is None else replace(found, separates=_named(found.separates))
+                if found is None:
+                    return None
+                reason = found.reason
+                for name in found.separates:
+                    reason = reason.replace(name, without_law(name))
+                return replace(found, separates=_named(found.separates), reason=reason)
         return suggest(bench, chosen, None, self.phases, self.limits)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
@@ -648,13 +662,16 @@ class _Search:
         )
 
 
-def _late(refit: Refit) -> float:
-    """Return how late the stamps of the tool's height are by a model [s]."""
-    values = dict(zip(refit.model.names, refit.model.values(refit.theta).tolist(), strict=True))
-    for effect in refit.model.declared:
-        if effect.misdates:
-            symbol = effect.parameters[0].symbol
-            return float(values.get(symbol, values.get(f'{effect.named}.{symbol}', 0.0)))
+def _late(rounds: Sequence[Round], order: Sequence[str]) -> float:
+    """Return how late the stamps of the tool's height are, as they came to be said to be [s]."""
+    for each in rounds:
+        if not each.alike or each.alike[0] not in order or not BY_NAME[each.alike[0]].misdates:
+            continue
+        # What is accepted beside it may take some of it, or of what it stands for.
+        leader = next(one.refit for one in each.candidates if one.effect == each.alike[0])
+        if leader is not None:
+            (place,) = places_of(leader.model, [each.alike[0]])
+            return float(leader.model.values(leader.theta)[place])
     return 0.0
 
 

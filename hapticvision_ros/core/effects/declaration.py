@@ -211,6 +211,8 @@ class Prediction:
         How late all that the tool does is in the recorded time [s].
     late_row : int or None
         Which row is the derivative in that, if one is.
+    touched : ndarray of bool, shape (n,), optional
+        Whether the tool touches the object in a step.
 
     Notes
     -----
@@ -226,6 +228,7 @@ class Prediction:
     d_surface: FloatArray
     late: float = 0.0
     late_row: int | None = None
+    touched: NDArray[np.bool_] | None = None
 
     def look(self, t: FloatArray, at: FloatArray) -> FloatArray:
         """

@@ -51,8 +51,8 @@ def _last_direction(trial: DrivenTrial) -> FloatArray:
 
 def _touched(prediction: Prediction) -> FloatArray:
     """Return 1 for each step in which the object is touched, else 0; shape (n,)."""
-    # What acts on the object comes before in a model: without contact its force is nothing.
-    return np.where(prediction.force != 0.0, 1.0, 0.0)
+    assert prediction.touched is not None
+    return np.where(prediction.touched, 1.0, 0.0)
 
 
 def _add(

@@ -50,7 +50,7 @@ _FEWEST: Final = 2
 _MOST: Final = 24
 """Those that are looked at."""
 _BRIEFEST: Final = 1e-4
-"""Acceleration that is none [s]."""
+"""Acceleration that comes and goes at once, as how it does so cannot be told apart [s]."""
 _LONGEST: Final = 3.0
 """How long a change of speed may take, over the longest that was found for one."""
 
@@ -154,7 +154,7 @@ def _beyond(away, duration, jerk, lag):  # type: ignore[no-untyped-def]
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
     half = 0.5 * duration
-    if jerk <= _SOFT * duration:
+    if jerk <= _SOFT * duration or duration < _BRIEFEST:
         way = (_travel(at + half, lag, 1) - _travel(at - half, lag, 1)) / duration
     else:
         soft = 0.5 * jerk

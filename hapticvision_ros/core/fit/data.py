@@ -172,6 +172,8 @@ class ToolPath:
         Corners at which the tool changes its speed over a finite time.
     interval : float
         Interval between two samples of the encoders where they are dense [s].
+    servo : Servo or None
+        How the arm changes its speed, where the campaign tells it.
 
     """
 
@@ -180,6 +182,7 @@ class ToolPath:
     noise: float
     bends: tuple[Bend, ...] = ()
     interval: float = 0.0
+    servo: Servo | None = None
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -652,7 +655,10 @@ def arm_of(
     turns: list[_Turned] = []
     for trial, phases in trials:
         displacement = _displacement(trial, phases)
-        if displacement is not None and displacement.value.max() > 0.0:
+        if displacement is None or phases.push_is_cut:
+            continue
+        reached = displacement.t > float(phases.t_contact or 0.0)
+        if np.count_nonzero(reached) >= _FEWEST and displacement.value[reached].max() > 0.0:
             turns += _path(displacement, phases, None)[1]
     corners = tuple(turn.corner for turn in turns)
     return servo_of(corners, [turn.shape for turn in turns]), corners
@@ -682,7 +688,10 @@ def along(
     moved = []
     for (trial, phases), each in zip(trials, made, strict=True):
         displacement = _displacement(trial, phases)
-        if each is None or displacement is None:
+        if each is None:
+            continue
+        if displacement is None:
+            moved.append(each)
             continue
         path = tool_path(displacement, phases, servo)
         moved.append(replace(each, path=path, displacement=path.at(each.t)))
@@ -981,6 +990,7 @@ def _path(
         noise,
         tuple(turn.bend for turn in turns if turn.bend.stop > turn.bend.start),
         float(np.quantile(np.diff(t), _DENSE)),
+        servo,
     )
     return path, turns
 

@@ -38,6 +38,7 @@ from typing import Final, NamedTuple
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Channel, HeldOutChange, Misfit, Misfits, Phase
+from hapticvision_ros.core.fit.bend import Servo
 from hapticvision_ros.core.fit.campaign import (
     calm,
     CampaignNoise,
@@ -95,6 +96,8 @@ class Trained:
         When the campaign began [ns since the epoch], from where an effect may count its time.
     scatter : ndarray, shape (3,) or (0,)
         Standard deviations of the logarithms of K1, C1 and C2 from trial to trial.
+    servo : Servo, optional
+        How the arm changes its speed.
 
     """
 
@@ -104,6 +107,7 @@ class Trained:
     reference_depth: float
     start_ns: int
     scatter: FloatArray
+    servo: Servo | None = None
 
     @classmethod
     def of(cls, fit: Fit, campaign: Sequence[Segmented]) -> 'Trained':
@@ -115,6 +119,7 @@ class Trained:
             fit.problem.trials[0].reference_depth,
             min(trial.start_ns for trial, _ in pairs_of(campaign)),
             fit.problem.scatter,
+            fit.problem.trials[0].path.servo,
         )
 
     def problem(self, trials: Sequence[FitTrial]) -> Problem:
@@ -404,7 +409,7 @@ def predict_unseen(
     pairs = pairs_of(unseen)
     # What has a phase is faster than the steps of a trial.
     fast = any(math.isnan(own.neutral) for own in trained.model.trial_parameters)
-    prepared, warnings = prepare(pairs, windows=fast)
+    prepared, warnings = prepare(pairs, windows=fast, servo=trained.servo)
     first = min((trial.start_ns for trial, _ in pairs), default=0)
     later = (first - trained.start_ns) * 1e-9
     moved = [

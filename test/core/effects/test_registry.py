@@ -117,6 +117,18 @@ def test_an_effect_follows_one_law() -> None:
     ]
 
 
+def test_friction_in_contact_stays_there_beside_the_mass_of_the_tool(
+    scale: Scale, driven: Callable
+) -> None:
+    trial = driven()
+    both = Model(('inertia:of_the_tool', 'friction:in_contact'))
+    values = both.values(both.first_guess(scale))
+    values[3:] = 1e-9, 0.3
+    force = both.predict(trial, both.theta(values), directions=False).force
+    air = trial.t[1:] < 1.0
+    assert np.abs(force[air]).max() < 1e-6
+
+
 @every
 def test_a_first_guess_is_within_its_bounds(effect: Effect, scale: Scale) -> None:
     for parameter in effect.parameters:
