@@ -224,6 +224,7 @@ def _diagnosis(found: Diagnosis) -> dict[str, Any]:
         'sets': [list(each) for each in found.sets],
         'not_testable': list(found.not_testable),
         'laws': list(found.laws),
+        'tool_height_late_s': _number(found.late),
         'look_alikes': [[one, other, _number(cos)] for one, other, cos in found.look_alikes],
         'ranking': [_candidate(candidate) for candidate in found.ranking],
         'unexplained': None

@@ -46,7 +46,7 @@ ERROR_KEYS = {'force_rmse_N', 'height_rmse_m', 'force_chi2', 'height_chi2'}
 DETAIL_KEYS = ERROR_KEYS | {'force_percent_of_range', 'height_percent_of_range'}
 PARAMETER_KEYS = {'value', 'std', 'unit', 'identifiable'}
 DIAGNOSIS_KEYS = {'status', 'effects', 'sets', 'not_testable', 'look_alikes', 'ranking', 'laws'}
-DIAGNOSIS_KEYS |= {'unexplained', 'next_trial', 'bootstrap'}
+DIAGNOSIS_KEYS |= {'unexplained', 'next_trial', 'bootstrap', 'tool_height_late_s'}
 BASE, YIELD = Model(), Model(('yield_force',))
 
 

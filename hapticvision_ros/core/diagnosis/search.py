@@ -47,7 +47,6 @@ from hapticvision_ros.core.diagnosis.selection import (
     Round,
     select,
     strength,
-    Trialled,
 )
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
@@ -474,7 +473,7 @@ class _Search:
         bench: Workbench,
         base: Refit,
         names: Sequence[str],
-        known: Sequence[Trialled] = (),
+        known: Sequence[Round] = (),
     ) -> _Chosen:
         chosen, rounds = select(
             bench,
@@ -499,7 +498,7 @@ class _Search:
         first = rounds[0]
         if all(any(name == each.effect for each in first.candidates) for name in names):
             return chosen, rounds, order
-        again = self._select(bench, first.without, names, first.candidates)
+        again = self._select(bench, first.without, names, rounds)
         if _worth(bench, again[0]) < _worth(bench, chosen) - LEAD:
             return again
         return chosen, rounds, order
@@ -739,7 +738,8 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     laws = {without_law(name): name for name in found.laws}
     # Those that are in a set stay open; of the others, the best.
     open_ = list(dict.fromkeys(laws.get(n, n) for alike in found.sets for n in alike))
-    others = [each.effect for each in found.ranking]
+    # Stamps that are late have been moved for all trials.
+    others = [each.effect for each in found.ranking if not BY_NAME[each.effect].misdates]
     others = [name for name in others if laws.get(name, name) not in open_]
     chosen, rounds = select(bench, base, [*open_, *others[:_OPEN]])
     return eliminate(bench, chosen, rounds)[0]

@@ -430,7 +430,7 @@ def select(
     *,
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
-    known: Sequence[Trialled] = (),
+    known: Sequence[Round] = (),
 ) -> tuple[Refit, tuple[Round, ...]]:
     """
     Add effects to a model as long as one gains clearly.
@@ -447,8 +447,8 @@ def select(
         Threads.
     progress : callable, optional
         Told of each candidate.
-    known : sequence of Trialled
-        Candidates that were held against `base` before.
+    known : sequence of Round
+        Of a selection among fewer: what was held against the same model is not tried again.
 
     Returns
     -------
@@ -461,7 +461,11 @@ def select(
     current, rounds, strongest = base, list[Round](), 0.0
     while len(rounds) < _MOST:
         open_ = candidates_for(current.model, names)
-        before = () if rounds else tuple(known)
+        before: tuple[Trialled, ...] = ()
+        if len(rounds) < len(known):
+            past = known[len(rounds)]
+            if past.without.model == current.model and past.without.deviance <= current.deviance:
+                current, before = past.without, past.candidates
         tried = try_all(
             bench,
             current,

@@ -15,12 +15,16 @@
 
 """What chance does in campaigns that a fitted model makes."""
 
+from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis import bootstrap as simulation
+from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.bootstrap import bootstrap, sensor_noise, simulated
 from hapticvision_ros.core.diagnosis.records import Candidate, Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.search import choose_again
 from hapticvision_ros.core.diagnosis.selection import select
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
@@ -125,3 +129,30 @@ def test_chance_does_not_do_what_a_clear_effect_does(world: Any) -> None:
     found = bootstrap(diagnosis, measured.phases, 7)
     assert found.p_value == pytest.approx(1.0 / 8.0)
     assert found.false_alarms <= 1
+
+
+def test_what_was_said_of_the_stamps_and_of_laws_holds_for_the_choice_made_anew(
+    world: Any,
+) -> None:
+    measured = small(world, Undeclared('friction', (0.5,)), seed=3)
+    diagnosis = diagnosed(measured)
+    first = diagnosis.ranking[0]
+    late = replace(first, effect='arm_clock_offset')
+    named = replace(diagnosis, ranking=(late, *diagnosis.ranking), laws=('friction:held',))
+    tried = set[str]()
+
+    def listening(bench: Any, base: Any, names: Any, **options: Any) -> Any:
+        tried.update(names)
+        return select(bench, base, names, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, 'select', listening)
+        bootstrap(named, measured.phases, 1)
+        assert 'friction:held' in tried
+        assert 'arm_clock_offset' not in tried
+        tried.clear()
+        patch.setattr(search, 'select', listening)
+        again = choose_again(named, {named.before.problem.trials[0].name})
+        assert again is not None
+        assert 'arm_clock_offset' not in tried
+        assert ('friction:held' in tried) == any('friction' in each for each in named.sets)
