@@ -196,7 +196,8 @@ def test_after_an_aborted_push_the_next_is_recorded_whole_and_live_and_offline_f
     phases_found = offline.segmentation
     assert phases_found.push_speed is not None
     sample = phases_found.push_speed * float(np.median(np.diff(trial.force.t)))
-    assert float(live['push_speed_m_s']) == pytest.approx(phases_found.push_speed, rel=1e-3)
+    speed = pytest.approx(phases_found.push_speed, rel=1e-3)
+    assert float(live['push_speed_m_s']) == speed, (live, offline.warnings)
     assert float(live['depth_m']) == pytest.approx(phases_found.depth, abs=2.0 * sample)
 
     refused = begin(probe)
