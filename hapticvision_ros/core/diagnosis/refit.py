@@ -201,9 +201,10 @@ class Workbench:
         self._near: Refit | None = None
         self._scale: Scale | None = None
         self._looks: dict[tuple[str, ...], _Look] = {}
-        self.samples = sum(
+        self.samples_of = tuple(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
+        self.samples = sum(self.samples_of)
 
     def scattering(self, scatter: FloatArray) -> 'Workbench':
         """Return the same campaign with trials that scatter."""

@@ -143,8 +143,10 @@ class Round:
 def price(bench: Workbench, effect: str) -> float:
     """Return what an effect must lower the deviance by to be worth its parameters."""
     declared = BY_NAME[effect]
-    own = len(declared.trial_parameters) * len(bench.trials)
-    return (len(declared.parameters) + own) * math.log(bench.samples)
+    # What a trial has of its own only its own samples tell.
+    own = sum(math.log(max(samples, 1)) for samples in bench.samples_of)
+    shared = len(declared.parameters) * math.log(bench.samples)
+    return shared + len(declared.trial_parameters) * own
 
 
 def changes(bench: Workbench, one: Refit, other: Refit) -> FloatArray:

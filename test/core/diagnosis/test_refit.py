@@ -150,11 +150,13 @@ def test_what_later_effects_have_made_superfluous_is_taken_out(
 
 def test_each_parameter_costs_the_logarithm_of_the_samples(lacking: Bench) -> None:
     bench, _ = lacking
-    samples = sum(t.force_count.astype(bool).sum() + t.height_t.size for t in bench.trials)
+    own = [t.force_count.astype(bool).sum() + t.height_t.size for t in bench.trials]
+    samples = sum(own)
     assert price(bench, 'yield_force') == pytest.approx(math.log(samples))
     assert price(bench, 'second_retardation') == pytest.approx(2.0 * math.log(samples))
-    # Amplitude and frequency, and a phase in each trial.
-    assert price(bench, 'periodic_disturbance') == pytest.approx(6.0 * math.log(samples))
+    # Amplitude and frequency, and a phase in each trial, which only its own samples tell.
+    phases = sum(map(math.log, own))
+    assert price(bench, 'periodic_disturbance') == pytest.approx(2.0 * math.log(samples) + phases)
 
 
 def test_strength_is_the_change_of_the_prediction_over_the_noise(
