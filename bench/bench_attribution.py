@@ -84,6 +84,8 @@ NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
 """Rate at which encoders follow an arm [Hz]."""
+OFFSET = 'contact_offset'
+"""Makes no misfit, since the fit finds each touch: its r is a part of the greatest depth."""
 LAW = 'another law'
 """What a campaign of `OTHER_LAWS` is."""
 CANNOT = {'force_saturation', 'force_quantisation'}
@@ -219,7 +221,9 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
         misfit = BaseMisfit(campaign, seed) if names else None
         for name in names:
             assert misfit is not None
-            size = fitted_strength(task['r'], name, campaign, misfit, shape, seed)
+            size = task['r']
+            if name != OFFSET:
+                size = fitted_strength(task['r'], name, campaign, misfit, shape, seed)
             acting.append(undeclared(name, size, campaign, shape=shape))
         if misfit is not None and set(names) <= set(BY_NAME):
             result['known'] = misfit.known(acting, names)

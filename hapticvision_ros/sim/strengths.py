@@ -59,6 +59,8 @@ class Scale:
         Usual hold, usual trial, and from first to last trial [s].
     interval : float
         Between two samples of the load cell [s].
+    clearance : float
+        From where the tool starts to the surface [m].
     body : Body
         The three elements.
 
@@ -72,6 +74,7 @@ class Scale:
     trial: float
     campaign: float
     interval: float
+    clearance: float
     body: Body
 
 
@@ -89,6 +92,7 @@ def scale(campaign: Campaign) -> Scale:
         trial=float(np.median(durations)),
         campaign=starts[-1] - starts[0] + durations[-1],
         interval=1.0 / campaign.sensors.force_rate,
+        clearance=campaign.clearance,
         body=campaign.body,
     )
 
@@ -124,7 +128,8 @@ _MAKERS: Final[Mapping[str, _Maker]] = {
     'adhesion': lambda s, u, k: (s * k.force,),
     'inertia': lambda s, u, k: (s * k.force * k.interval / k.top_speed,),
     'machine_compliance': lambda s, u, k: (k.force / (s * k.depth),),
-    'contact_offset': lambda s, u, k: (_sign(u) * s * k.depth,),
+    # An object that reaches the tool before it moves would be another trial.
+    'contact_offset': lambda s, u, k: (_sign(u) * min(s * k.depth, 0.9 * k.clearance),),
     'friction': lambda s, u, k: (s * k.force,),
     'force_drift': lambda s, u, k: (_sign(u) * s * k.force / k.trial,),
     'force_lag': lambda s, u, k: (s * k.push_time,),
