@@ -80,6 +80,8 @@ _DENSE: Final = 0.05
 """Quantile of the intervals of the encoders that is theirs where samples are dense."""
 _BURST: Final = 10
 """Samples that may be stamped late together."""
+_STRAIGHT: Final = 8
+"""Samples on either side of these that are on one line."""
 _SILENT: Final = 3.5
 """Usual intervals of the encoders without a sample that are a gap."""
 _MOST_MISSING: Final = 10_000
@@ -1265,9 +1267,13 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     straight = middle[before] + share * (middle[after] - middle[before])
     off = np.zeros(t.size, dtype=np.bool_)
     off[inner] = np.abs(value[inner] - straight) > _LEFT_SIGMAS * noise
-    # At a corner samples are off for longer.
+    # At a corner samples are off for longer, and after a pause the way is another.
     for first, last in runs(off):
-        late[first:last] = last - first <= _BURST
+        if last - first <= _BURST:
+            beside = np.r_[first - _STRAIGHT : first, last : last + _STRAIGHT]
+            level, slope = _line(t[beside], value[beside], np.ones(beside.size))
+            miss = value[beside] - level - slope * t[beside]
+            late[first:last] = float(miss @ miss) <= _FOLLOWS**2 * miss.size * noise**2
     return late
 
 

@@ -329,6 +329,37 @@ def test_the_speed_of_a_quick_push_is_known_as_well_as_its_stamps() -> None:
     assert 3e-3 < errors[1] < 2e-2
 
 
+def _jittering(fine: np.ndarray, way: np.ndarray, late: tuple[float, float]) -> Signal:
+    """Return heights of a way whose stamps are off by 1 ms, some of them by much more."""
+    t = np.arange(0.007, fine[-1], 0.02)
+    moments = t + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
+    stale = 0.03 * ((t > late[0]) & (t < late[1]))
+    return Signal(t, np.interp(moments - stale, fine, way))
+
+
+def test_heights_that_are_stamped_late_are_left_out() -> None:
+    fine = np.array([0.0, 2.35, 13.0, 15.0])
+    way = np.array([-0.01035, 0.0155, 0.0155, -0.02])
+    heights = _jittering(fine, way, (1.5, 1.6))
+    path = tool_path(heights, replace(PHASES, t_contact=0.94, t_hold=2.35))
+    pushed = heights.t[(heights.t > 0.9) & (heights.t < 2.3)]
+    assert np.abs(path.at(pushed) - np.interp(pushed, fine, way)).max() < 2e-5
+
+
+def test_a_push_after_a_pause_is_not_taken_for_late_stamps() -> None:
+    """The tool stands still for a moment, 1 mm above the object, before it pushes."""
+    fine = np.arange(0.0, 7.0, 1e-4)
+    times = [1.0, 1.022, 1.823, 1.845, 1.867, 2.2835, 2.3055, 4.3054, 4.3454, 4.995, 5.035]
+    speeds = [0.0, 0.011, 0.011, 0.0, 0.011, 0.011, 0.0, 0.0, -0.02, -0.02, 0.0]
+    speed = np.interp(fine, times, speeds)
+    way = np.concatenate(([0.0], np.cumsum(0.5e-4 * (speed[1:] + speed[:-1]))))
+    way -= np.interp(1.94, fine, way)
+    heights = _jittering(fine, way, (0.0, 0.0))
+    path = tool_path(heights, Segmentation(1.94, 2.29, 4.31, 4.31, 7.0, 0.04, 0.0, 0.01, 0.004))
+    pushed = heights.t[(heights.t > 1.87) & (heights.t < 2.28)]
+    assert np.abs(path.at(pushed) - np.interp(pushed, fine, way)).max() < 2e-5
+
+
 def _quick(name: str, noise: float, first: float, rounded: float = 0.0) -> Trial:
     """Return a push of 9 samples of the encoders, under a load cell of some noise."""
     random = np.random.default_rng(5)
