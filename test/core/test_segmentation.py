@@ -230,6 +230,19 @@ STICKY = replace(STANDARD_SOLID, adhesion=0.4)
 SOFT = Body(1.0, maxwell=2.0, relaxation_time=3.0)
 
 CASES = {
+    'a slow push after a short approach': Case(
+        Body(20.0, c1=100.0, c2=788.0),
+        speed=0.88e-3,
+        depth=9.9e-3,
+        wait=0.34,
+        air=0.1e-3,
+        hold=8.0,
+        recover=10.0,
+        force_rate=420.0,
+        height_rate=50.0,
+        snr=60.0,
+        offset=-0.05,
+    ),
     'spring': Case(SPRING),
     'standard solid': Case(STANDARD_SOLID),
     'hertz': Case(HERTZ),

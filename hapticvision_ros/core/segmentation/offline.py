@@ -266,6 +266,8 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
     before = coarse[: peak + 1]
     p10 = float(np.quantile(before, 0.1))
     base = float(np.mean(before[before <= p10 + 2.6 * sigma]))
+    # A slow push after a short approach leaves less than a tenth of all to the air.
+    base = min(base, float(np.median(before[: max(before.size // 100, _FEWEST)])))
     amplitude = float(coarse[peak]) - base
     least = options.contact_sigmas * sigma + 1e-12 * float(np.max(np.abs(f)))
     if amplitude <= least:
