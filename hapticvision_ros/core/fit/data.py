@@ -25,7 +25,7 @@ the encoders' samples, as many as it takes to follow them within their noise.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 import math
 from typing import Final, NamedTuple
@@ -109,6 +109,8 @@ _MOVING: Final = 6.0
 _CLEARLY: Final = 2.0
 """Noise by the stamps over that of the samples from which on it is another."""
 _ZOOMS: Final = 5
+_ROUGH_ZOOMS: Final = 3
+"""Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _SHOWN: Final = 12.0
@@ -1138,13 +1140,27 @@ def _shape_of(corner: Corner, longest: float, enough: float) -> tuple[Shape, flo
 
     An acceleration comes and goes at once unless this leaves more than `enough` [m^2].
     """
+    # A campaign's paths are made several times, for arms that change their speed otherwise.
+    return _known_shape(corner.t.tobytes(), corner.value.tobytes(), corner[2:], longest, enough)
+
+
+@lru_cache(maxsize=1024)
+def _known_shape(
+    t: bytes,
+    value: bytes,
+    others: tuple[float, float, float, float, int, float, float],
+    longest: float,
+    enough: float,
+) -> tuple[Shape, float]:
+    """Return what `_shape_of` does of a corner's bytes and its further fields."""
+    corner = Corner(np.frombuffer(t).copy(), np.frombuffer(value).copy(), *others)
     for soft in _SOFT:
         shape, left = _best_shape(corner._replace(rest=-1), 0.0, longest, soft)
         shift = 0.0
         if corner.rest >= 0:
             # How the tool comes to where it rests tells where that is, within a step.
             squares = [
-                _best_shape(corner, each, longest, soft, shape.lag)[1]
+                _best_shape(corner, each, longest, soft, shape.lag, _ROUGH_ZOOMS)[1]
                 for each in corner.shifts.tolist()
             ]
             shift = corner.likely(np.array(squares))
@@ -1155,7 +1171,12 @@ def _shape_of(corner: Corner, longest: float, enough: float) -> tuple[Shape, flo
 
 
 def _best_shape(
-    corner: Corner, shift: float, longest: float, soft: float, lag: float | None = None
+    corner: Corner,
+    shift: float,
+    longest: float,
+    soft: float,
+    lag: float | None = None,
+    zooms: int = _ZOOMS,
 ) -> tuple[Shape, float]:
     """
     Return the acceleration that follows the samples best, and the squares it leaves.
@@ -1167,7 +1188,7 @@ def _best_shape(
         low, high = 0.0, longest
         best = 0.0
         shifts = np.full(_DURATIONS, shift)
-        for _ in range(_ZOOMS):
+        for _ in range(zooms):
             tried = np.linspace(low, high, _DURATIONS)
             lasts = np.maximum(tried, _BRIEFEST * lag)
             best = float(tried[np.argmin(corner.squares(lasts, shifts, soft, lag))])
