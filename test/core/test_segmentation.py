@@ -599,6 +599,7 @@ class Slow:
     late: float = 0.0
     bias: float = 0.0
     mass: float = 0.0
+    step: float = 0.0
     seed: int = 0
 
     touch: float = 12.0
@@ -619,6 +620,7 @@ class Slow:
         force = 100.0 * (np.maximum(self.way(t), 0.0) / self.depth) ** self.power
         force += 100.0 * self.force_noise * random.standard_normal(t.size)
         force += 100.0 * self.hum * np.sin(2.0 * np.pi * 8.1 * t)
+        force += 100.0 * self.step * (self.way(t) > 0.0)
         force += self.mass * 0.01 * ((t > 2.0) & (t < 2.1))
         tt = np.arange(0.0, 30.0, 0.008)
         th = np.arange(0.0, 30.0, 0.0167)
@@ -638,6 +640,14 @@ def test_a_touch_that_a_hum_hides_is_where_the_surface_starts_to_move(hum, seed)
     slow = Slow(hum=hum, seed=seed)
     assert abs(slow.off(seen=True)) < 3e-5
     assert abs(slow.off(seen=False)) > 2e-4
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_touch_that_is_felt_as_little_for_long_is_where_the_surface_starts_to_move(seed) -> None:
+    """The force steps by four times its noise, and rises on only much later."""
+    slow = Slow(power=8.0, step=0.025, touch=4.0, seed=seed)
+    assert abs(slow.off(seen=True)) < 3e-5
+    assert abs(slow.off(seen=False)) > 1e-3
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,8 @@ _OF_MEDIAN = 1.2533
 _STRAIGHT = 2.0
 """Spread of the object's way beside the tool's, over their noise, in which both go together."""
 _BLOCKS = 50
+_AGAIN = 4
+"""Rounds in which the touch that the heights show, and what is before it, are found."""
 _LATE_SAMPLES = 30.0
 _LATE_SHARE = 0.05
 """Samples of the height, and share of the hold, by which T_e may be found late."""
@@ -339,14 +341,20 @@ def _seen_by_height(
     """
     assert contact.t is not None
     value = despike(possible(height))
-    air = value[height.t < contact.t]
     pressed = (height.t > contact.t + (t_hold - contact.t) / 3.0) & (height.t < t_hold)
-    if min(air.size, int(np.count_nonzero(pressed))) < _FEWEST:
-        return contact
-    level = float(np.median(air))
+    t_touch = contact.t
+    for _ in range(_AGAIN):
+        # A force that rises late has part of the push in what it leaves to the air.
+        air = value[height.t < t_touch]
+        if min(air.size, int(np.count_nonzero(pressed))) < _FEWEST:
+            return contact
+        level = float(np.median(air))
+        touches = np.interp(height.t[pressed], record.tx, record.x) - (value[pressed] - level)
+        x_touch = float(np.median(touches))
+        after = int(np.argmax(np.maximum.accumulate(record.x) > x_touch))
+        beside = slice(max(after - 1, 0), after + 1)
+        t_touch = float(np.interp(x_touch, record.x[beside], record.tx[beside]))
     noise = NORMAL_FROM_MAD * float(np.median(np.abs(air - level)))
-    touches = np.interp(height.t[pressed], record.tx, record.x) - (value[pressed] - level)
-    x_touch = float(np.median(touches))
     spread = NORMAL_FROM_MAD * float(np.median(np.abs(touches - x_touch)))
     error = math.hypot(spread / math.sqrt(touches.size), noise / math.sqrt(air.size))
     error = math.hypot(_OF_MEDIAN * error, record.travel_noise)
@@ -355,9 +363,6 @@ def _seen_by_height(
         error, contact.travel_std
     ):
         return contact
-    after = int(np.argmax(np.maximum.accumulate(record.x) > x_touch))
-    beside = slice(max(after - 1, 0), after + 1)
-    t_touch = float(np.interp(x_touch, record.x[beside], record.tx[beside]))
     between = min(t_touch, contact.t), max(t_touch, contact.t)
     first, last = (int(place) for place in np.searchsorted(record.tf, between))
     # The end of what is asked about has the most force of it; blocks of that length before it have
