@@ -122,6 +122,9 @@ class DisplacementTracker:
     rotation, shift : ndarray, shapes (3, 3) and (3,), optional
         Bring the clouds into the frame `support_plane`, if they are in another:
         ``p @ rotation.T + shift``.
+    lowest_tool_height : float, optional
+        How low the tool has been before the first frame [m]: what it has pushed is no original
+        surface.
 
     """
 
@@ -132,6 +135,7 @@ class DisplacementTracker:
         *,
         rotation: FloatArray | None = None,
         shift: FloatArray | None = None,
+        lowest_tool_height: float = np.inf,
     ) -> None:
         self._x, self._y = (np.float32(item) for item in contact_axis)
         self._settings = settings
@@ -145,7 +149,7 @@ class DisplacementTracker:
         self._heights: list[float] = []
         self._counts: list[float] = []
         self._pushed = False
-        self._lowest_tool_height = np.inf
+        self._lowest_tool_height = lowest_tool_height
         self._reason = 'no frame has come yet'
 
     @property
@@ -405,7 +409,10 @@ def displacement_from_clouds(
         tool = float(tool_height.at(np.array([frame.t]))[0])
         if tracker is None:
             try:
-                tracker, warnings = _set_up(frame.xyz, tool, contact_point, settings)
+                # The object may be hidden in the frames before.
+                passed = tool_height.value[tool_height.t <= frame.t]
+                lowest = float(np.nanmin(passed, initial=np.inf))
+                tracker, warnings = _set_up(frame.xyz, tool, lowest, contact_point, settings)
             except InputError as error:
                 text = str(error).rstrip('.')
                 refusal = text[:1].lower() + text[1:]
@@ -434,6 +441,7 @@ def displacement_from_clouds(
 def _set_up(
     xyz: PointArray,
     tool_height: float,
+    lowest: float,
     contact_point: tuple[float, float, float] | None,
     settings: DisplacementSettings,
 ) -> tuple[DisplacementTracker, list[str]]:
@@ -462,4 +470,7 @@ def _set_up(
             f'top view meets the surface: x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm '
             'in the frame of the support plane.'
         )
-    return DisplacementTracker(axis, settings, rotation=rotation, shift=shift), warnings
+    tracker = DisplacementTracker(
+        axis, settings, rotation=rotation, shift=shift, lowest_tool_height=lowest
+    )
+    return tracker, warnings

@@ -347,11 +347,13 @@ def test_what_gives_no_height_says_why(clouds, tool_height):
     signal, warnings = displacement_from_clouds(empty, tool_height)
     assert signal is None
     assert 'only 0 returns' in warnings[-1]
-    signal, warnings = displacement_from_clouds(
-        clouds[30:], tool_height, contact_point=(*AXIS, TOP)
-    )
-    assert signal is None
-    assert 'not seen before the push' in warnings[-1]
+    # While the tool is down, and once it is up again.
+    for first in (30, 70):
+        signal, warnings = displacement_from_clouds(
+            clouds[first:], tool_height, contact_point=(*AXIS, TOP)
+        )
+        assert signal is None
+        assert 'not seen before the push' in warnings[-1]
     signal, warnings = displacement_from_clouds(
         clouds[:3], tool_height, contact_point=(*AXIS, TOP)
     )
