@@ -44,6 +44,8 @@ _WHOLE: Final = 0.05
 _MULTIPLES: Final = 4
 """Different multiples, fewer of which a tool with a few speeds shows without any rounding."""
 _FEWEST_STEPS: Final = 16
+_FEWEST_TURNS: Final = 3
+"""Times that a quick tool goes on by a step more or less than before, fewer of which are chance."""
 _MOST_WINDOWS: Final = 4096
 """Windows that are looked at: their median is known to half a percent."""
 
@@ -117,18 +119,35 @@ def rounding(value: FloatArray) -> float:
     changes = changes[changes > _ROUNDING * float(np.abs(value).max(initial=0.0))]
     if changes.size < _FEWEST_STEPS:
         return 0.0
-    step = float(changes.min())
+    step, multiples, turns = _step(changes, float(changes.min()))
+    if multiples < _MULTIPLES and turns < _FEWEST_STEPS:
+        step = 0.0
+    if step == 0.0:
+        # A quick tool never goes on by a single step, but by one more or less from time to time.
+        apart = np.diff(np.sort(changes))
+        apart = apart[apart > _ROUNDING * float(np.abs(value).max())]
+        if apart.size:
+            step, _, turns = _step(changes, float(apart.min()))
+            step = step if turns >= _FEWEST_TURNS else 0.0
+    return step / math.sqrt(12.0)
+
+
+def _step(changes: FloatArray, step: float) -> tuple[float, int, int]:
+    """
+    Return the step of a reading near one, or zero if its changes are no multiples of it.
+
+    Also how many different multiples there are, and how often one follows its neighbour.
+    """
     # The small ones tell it closely enough for the large ones to be counted, whose digits may end
     # before it does.
     for largest in (3.5 * step, 30.0 * step, math.inf):
         chosen = changes[changes <= largest]
         whole = np.rint(chosen / step)
-        step = float(chosen.sum() / whole.sum())
+        if chosen.size:
+            step = float(chosen.sum() / whole.sum())
     away = np.abs(changes / step - whole)
-    # A slow tool goes on by one step more or less from reading to reading.
-    turns = np.count_nonzero(np.abs(np.diff(whole)) == 1.0)
-    few = np.unique(whole).size < _MULTIPLES and turns < _FEWEST_STEPS
-    return 0.0 if few or away.max() >= _WHOLE else step / math.sqrt(12.0)
+    turns = int(np.count_nonzero(np.abs(np.diff(whole)) == 1.0))
+    return (step if away.max() < _WHOLE else 0.0), np.unique(whole).size, turns
 
 
 def pool_noise(noises: Sequence[Noise]) -> Noise:

@@ -39,6 +39,22 @@ def test_steps_of_the_encoders_are_seen(speeds, digits) -> None:
     )
 
 
+@pytest.mark.parametrize('speed', [0.01296, 0.0213, 0.0071])
+def test_steps_of_the_encoders_are_seen_beside_a_quick_tool(speed: float) -> None:
+    """It never goes on by a single step from one reading to the next."""
+    t = np.arange(0.003, 3.0, 0.01)
+    read = 0.04 - np.round(speed * np.clip(t - 0.5, 0.0, 1.0) / 1.851e-6) * 1.851e-6
+    assert rounding(read) == pytest.approx(1.851e-6 / np.sqrt(12.0), rel=1e-3)
+
+
+def test_no_steps_are_seen_of_a_tool_that_is_accelerated_evenly() -> None:
+    for start, lasts in ((0.503, 0.2), (0.5, 0.317)):
+        t = np.arange(0.0, 3.0, 0.01)
+        begun = np.clip(t - start, 0.0, lasts)
+        way = 0.05 * begun**2 / 2.0 + 0.05 * lasts * np.clip(t - start - lasts, 0.0, 1.0)
+        assert rounding(way) == 0.0
+
+
 def test_no_steps_are_seen_where_there_are_none() -> None:
     noise = np.random.default_rng(0).standard_normal(T.size)
     assert rounding(way(0.0011, 0.0047) + 1e-6 * noise) == 0.0
