@@ -45,7 +45,7 @@ _MULTIPLES: Final = 4
 """Different multiples, fewer of which a tool with a few speeds shows without any rounding."""
 _FEWEST_STEPS: Final = 16
 _FEWEST_TURNS: Final = 3
-"""Times that a quick tool goes on by a step more or less than before, fewer of which are chance."""
+"""Times that a quick tool goes on by a step more or less; fewer are chance."""
 _MOST_WINDOWS: Final = 4096
 """Windows that are looked at: their median is known to half a percent."""
 
