@@ -37,7 +37,8 @@ from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure
 from hapticvision_ros.core.diagnosis.selection import GATE, Round, select
-from hapticvision_ros.core.effects import BY_NAME
+from hapticvision_ros.core.effects import EVERY_LAW
+from hapticvision_ros.core.effects.declaration import without_law
 from hapticvision_ros.core.fit.campaign import Fit
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.noise_model import SensorNoise
@@ -79,10 +80,9 @@ def bootstrap(
 
     """
     groups = conditions(phases)
-    # Stamps that are late are moved and are no effect.
-    names = [each.effect for each in found.ranking if not BY_NAME[each.effect].misdates]
-    # Other laws are only looked for once something is found.
-    names += found.laws
+    tried = {candidate.effect for candidate in found.ranking}
+    # Each by all of its laws; stamps that are late are moved and are no effect.
+    names = [e.name for e in EVERY_LAW if without_law(e.name) in tried and not e.misdates]
     # Without repeats, scatter was assumed for the trials; it then is so for the simulated ones.
     assumed = found.after.problem.scatter if max(map(len, groups)) == 1 else np.empty(0)
     base, drawn = _base(found.before, found.before.problem.trials, groups, assumed)

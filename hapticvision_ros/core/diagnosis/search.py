@@ -369,11 +369,12 @@ class _Search:
             chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
         rest = self._rest(bench, rounds[0].without, chosen, rounds)
-        if rest or order:
-            further = self._further(bench, chosen, rounds, order, names)
-            if further[0] is not chosen:
-                chosen, rounds, order = further
-                rest = self._rest(bench, rounds[0].without, chosen, rounds)
+        # What only another law shows, such as friction that a tool in the air does not feel, may
+        # leave nothing for the usual ones.
+        further = self._further(bench, chosen, rounds, order, names)
+        if further[0] is not chosen:
+            chosen, rounds, order = further
+            rest = self._rest(bench, rounds[0].without, chosen, rounds)
         base = rounds[0].without
         ranking = self._ranking(bench, base, rounds[0])
         sets = [each for each in rounds if each.alike and each.alike[0] in order]

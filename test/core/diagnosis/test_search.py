@@ -102,6 +102,13 @@ def test_each_left_out_push_is_predicted_better(case: Any, effect: Undeclared, s
     assert all(ratio > ranking[0].held_out_ratio for ratio in others)
 
 
+def test_other_laws_are_looked_for_where_the_usual_ones_find_nothing(noise_only: Any) -> None:
+    told = list[str]()
+    found = diagnose(noise_only.pairs, progress=told.append)
+    assert found.status == 'none'
+    assert 'trying friction:in_contact' in told
+
+
 @pytest.mark.parametrize(
     ('other', 'seed', 'law'),
     [
