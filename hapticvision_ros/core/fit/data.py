@@ -1291,7 +1291,8 @@ def _late(t: FloatArray, value: FloatArray, noise: float) -> NDArray[np.bool_]:
     # At a corner samples are off for longer, and after a pause the way is another.
     for first, last in runs(off):
         if last - first <= _BURST:
-            beside = np.r_[first - _STRAIGHT : first, last : last + _STRAIGHT]
+            begin, end = first - _STRAIGHT, last + _STRAIGHT
+            beside = np.r_[begin:first, last:end]
             level, slope = _line(t[beside], value[beside], np.ones(beside.size))
             miss = value[beside] - level - slope * t[beside]
             late[first:last] = float(miss @ miss) <= _FOLLOWS**2 * miss.size * noise**2
