@@ -144,6 +144,8 @@ def _step(changes: FloatArray, step: float) -> tuple[float, int, int]:
         chosen = changes[changes <= largest]
         whole = np.rint(chosen / step)
         if chosen.size:
+            if not whole.any():
+                return 0.0, 0, 0
             step = float(chosen.sum() / whole.sum())
     away = np.abs(changes / step - whole)
     turns = int(np.count_nonzero(np.abs(np.diff(whole)) == 1.0))

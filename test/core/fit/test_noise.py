@@ -62,3 +62,5 @@ def test_no_steps_are_seen_where_there_are_none() -> None:
     assert rounding(way(0.001, 0.002)) == 0.0
     assert rounding(np.zeros(100)) == 0.0
     assert rounding(np.array([0.0, 1.0])) == 0.0
+    # Nor where the least change is far below what lies between the others.
+    assert rounding(np.cumsum(np.tile([0.137, 10.0, 11.03, 14.41], 50))) == 0.0
