@@ -14,7 +14,7 @@
 
 
 """
-A residual that is louder in contact than without.
+A residual that is louder or slower in contact than without.
 
 What has no smooth form, or another one in each trial, passes for noise in a fit that takes its
 noise from its own residual. Without contact no model can be wrong: the sensors' noise is seen
@@ -27,10 +27,16 @@ import math
 from typing import Final, Literal
 
 from hapticvision_ros.core.diagnosis.refit import Refit
-from hapticvision_ros.core.fit.campaign import calm, quietest
+from hapticvision_ros.core.fit.campaign import calm, height_blocks, quietest, without_contact
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.noise import rounding
-from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.fit.noise_model import (
+    Blocks,
+    deviance,
+    estimate,
+    Record,
+    SensorNoise,
+)
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
@@ -49,12 +55,26 @@ _SIGMAS: Final = 3.0
 _LOUD: Final = 1.3
 _LOUD_TRIAL: Final = 1.7
 """Residual over the noise, of all trials or of one, beyond its errors, that is more than noise."""
+_APPROACH: Final = 0.1
+"""Part of what is seen before the touch in which a slow sensor may see the push already."""
+_OTHER: Final = 14.0
+"""
+Fall of the deviance without contact beside the noise of the fit, which has then another form.
+
+By chance it falls so far once in a thousand: chi squared of two degrees of freedom.
+"""
+_SLOW: Final = 0.5
+"""Slow noise of the fit over all noise without contact that is more than an arm's ripple."""
+_SLOWER: Final = 2.0
+"""What is left of either in a mean over long, one over the other, where the fit's is slower."""
+_COARSE: Final = 0.3
+"""Rounding over the noise without contact, above which the latter may be hidden by it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Excess:
     """
-    A residual that is louder in contact than without.
+    A residual that is louder or slower in contact than without.
 
     Parameters
     ----------
@@ -66,6 +86,8 @@ class Excess:
         Where it is loudest.
     trial_ratio : float
         The ratio there.
+    memory : float
+        How long what is left goes on, where noise without contact does not [s]; otherwise zero.
 
     """
 
@@ -73,18 +95,25 @@ class Excess:
     ratio: float
     trial: str
     trial_ratio: float
+    memory: float = 0.0
 
     def __str__(self) -> str:
         """Return what was found as a sentence."""
         return (
             f'{self.channel}, in contact: the residual is {self.ratio:.2g} times the noise '
-            f'without contact, {self.trial_ratio:.2g} times in {self.trial}, in no smooth form'
+            f'without contact, {self.trial_ratio:.2g} times in {self.trial}, '
+            + (
+                f'and goes on for about {self.memory:.2g} s, which the noise without contact does '
+                f'not'
+                if self.memory
+                else 'in no smooth form'
+            )
         )
 
 
 def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     """
-    Return the channels whose residual is louder in contact than without.
+    Return the channels whose residual is louder in contact than without, or slower.
 
     Parameters
     ----------
@@ -126,11 +155,64 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     height_alike = _alike(found.height_noise, first.height_interval)
     # A coarse load cell may read the same without contact, and round in it.
     coarse = max(rounding(t.samples.force[t.samples.good]) for t in problem.trials)
+    force_memory = height_memory = 0.0
+    free = [each for each in map(without_contact, problem.trials) if each is not None]
+    air = [_quiet(blocks, rest) for blocks, rest, _ in free]
+    if coarse < _COARSE * found.force_noise.std:
+        force_memory = _slower(air, found.force_noise, first.interval, least_force)
+    air = [each for each in map(_heights, problem.trials) if each is not None]
+    height_memory = _slower(air, found.height_noise, first.height_interval, least_height)
     held = (
-        _held('force', forces, alike, least_force, coarse),
-        _held('displacement height', heights, height_alike, least_height),
+        _held('force', forces, alike, least_force, coarse, memory=force_memory),
+        _held('displacement height', heights, height_alike, least_height, memory=height_memory),
     )
     return tuple(each for each in held if each is not None)
+
+
+def _before(trial: FitTrial, first: float) -> float:
+    """Return until when nothing is seen of the push, of a record that begins at `first`."""
+    return trial.t_contact - _APPROACH * max(trial.t_contact - first, 0.0)
+
+
+def _heights(trial: FitTrial) -> Record | None:
+    """Return the heights before the touch."""
+    full = trial.full_rate
+    count = 0
+    if full.height_t.size:
+        count = int(np.searchsorted(full.height_t, _before(trial, float(full.height_t[0]))))
+    if count < 2:
+        return None
+    blocks = height_blocks(full)
+    early = Blocks(blocks.duration[:count], blocks.count[:count], np.zeros(count))
+    return _quiet(early, full.height[:count])
+
+
+def _quiet(blocks: Blocks, value: FloatArray) -> Record:
+    """Return what is seen without contact about a zero of its own."""
+    return Record(blocks, value, np.zeros((0, value.size)), np.ones((1, value.size)))
+
+
+def _slower(air: Sequence[Record], noise: SensorNoise, interval: float, least: float) -> float:
+    """
+    Return the memory of the noise of a fit, if the sensor's own is not as slow.
+
+    A fit takes for slow noise whatever it lacks that goes on for as long as noise may.
+    """
+    seen = sum(int(np.count_nonzero(each.blocks.count)) for each in air)
+    if seen < _FEWEST or noise.correlation_time <= interval:
+        return 0.0
+    own = estimate(air, noise, interval)
+    if noise.slow < _SLOW * own.std or own.std <= least:
+        return 0.0
+    if _long(noise, interval) < _SLOWER**2 * _long(own, interval):
+        return 0.0
+    other = deviance(air, noise) - deviance(air, own) > _OTHER
+    return noise.correlation_time if other else 0.0
+
+
+def _long(noise: SensorNoise, interval: float) -> float:
+    """Return the variance of a mean over long, times its length."""
+    return noise.white**2 * interval + 2.0 * noise.slow**2 * noise.correlation_time
 
 
 def _alike(noise: SensorNoise, interval: float) -> float:
@@ -159,7 +241,8 @@ def _parted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the residual without contact, less its means, and in contact."""
     loss = phase.t_end if phase.t_loss is None else phase.t_loss
-    quiet = [residual[t < trial.t_contact]]
+    first = float(t[0]) if t.size else trial.t_contact
+    quiet = [residual[t < _before(trial, first)]]
     if after:
         quiet.append(residual[t > loss + _SETTLING * (loss - trial.t_contact)])
     return (
@@ -174,8 +257,10 @@ def _held(
     alike: float,
     least: float,
     coarse: float = 0.0,
+    *,
+    memory: float,
 ) -> Excess | None:
-    """Return by how much a channel is louder in contact, if it is."""
+    """Return by how much a channel is louder in contact, if it is or goes on for longer."""
     known = [each for each in parts if each[2].size >= _FEW]
     quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
     if quiet.size < _FEWEST or not known:
@@ -190,6 +275,7 @@ def _held(
     worst, name, error = max(ratios)
     whole = np.concatenate([each[2] for each in known])
     ratio = math.sqrt(float(np.mean(whole**2))) / noise
-    if ratio < _LOUD + unsure and worst < _LOUD_TRIAL + math.hypot(unsure, error):
+    quieter = ratio < _LOUD + unsure and worst < _LOUD_TRIAL + math.hypot(unsure, error)
+    if quieter and memory == 0.0:
         return None
-    return Excess(channel, ratio, name, worst)
+    return Excess(channel, ratio, name, worst, memory)

@@ -1212,7 +1212,7 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
         least_force=least_force,
         least_height=least_height,
     )
-    parts = [part for part in map(_without_contact, trials) if part is not None]
+    parts = [part for part in map(without_contact, trials) if part is not None]
     if sum(rest.size for _, rest, _ in parts) < _BASELINE:
         return memory
     spread = math.sqrt(
@@ -1285,12 +1285,24 @@ def _told(air: Sequence[Record], noise: SensorNoise) -> float:
     return told
 
 
-def _without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | None:
+def without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | None:
     """
     Return the force before the touch and after the tool has left, less its mean, and when.
 
     Both are of one record, between which a block without samples stands for the push: how far the
     zero has gone meanwhile tells most of how it wanders.
+
+    Parameters
+    ----------
+    trial : FitTrial
+        A trial as the fit sees it.
+
+    Returns
+    -------
+    tuple of Blocks, ndarray and ndarray, or None
+        The record, of n blocks; the force [N] and the time since the zero [s], of shape (n,) each;
+        None where hardly anything is seen without contact.
+
     """
     blocks = force_blocks(trial)
     middle = 0.5 * (trial.t[1:] + trial.t[:-1])

@@ -77,3 +77,39 @@ def test_a_coarse_load_cell_that_reads_the_same_in_air_is_not_louder_in_contact(
         return replace(trial, force=Signal(trial.force.t, value))
 
     assert heard(change=rounded) == ()
+
+
+def _slow(t: Any, time: float, seed: int) -> Any:
+    """Return an autoregression of unit size."""
+    random = np.random.default_rng(seed)
+    value = random.standard_normal(t.size)
+    for i, gone in enumerate(np.exp(-np.diff(t) / time), start=1):
+        value[i] = gone * value[i - 1] + np.sqrt(1.0 - gone**2) * value[i]
+    return value
+
+
+def test_a_range_sensor_that_averages_over_long_is_seen(heard: Any) -> None:
+    """A fit takes the rounded corners for slow noise, of which the sensor shows none before."""
+
+    def averaged(trial: Trial) -> Trial:
+        seen = trial.displacement_height
+        grid = np.arange(seen.t[0], seen.t[-1], 0.01)
+        long = np.pad(np.interp(grid, seen.t, seen.value), 25, mode='edge')
+        value = np.interp(seen.t, grid, np.convolve(long, np.full(51, 1.0 / 51.0), mode='valid'))
+        noise = np.random.default_rng(3).normal(0.0, 5e-5, seen.t.size)
+        return replace(trial, displacement_height=Signal(seen.t, value + noise))
+
+    (found,) = heard(change=averaged)
+    assert found.channel == 'displacement height'
+    assert found.memory > 0.1
+    assert 'which the noise without contact does not' in str(found)
+
+
+def test_a_range_sensor_whose_noise_is_slow_everywhere_is_heard_as_such(heard: Any) -> None:
+    def slow(trial: Trial) -> Trial:
+        seen = trial.displacement_height
+        # Of each trial its own.
+        noise = 1e-4 * _slow(seen.t, 0.4, int(1e6 * abs(seen.value[-1])))
+        return replace(trial, displacement_height=Signal(seen.t, seen.value + noise))
+
+    assert heard(change=slow) == ()
