@@ -54,12 +54,31 @@ def direction(bench: Workbench, base: Refit, effect: str, refit: Refit | None) -
     """
     if refit is None:
         problem, states = bench.guesses(Model((*base.model.effects, effect)), base)
-        return _change(bench, base, problem, states[0])
-    return _change(bench, base, refit.problem, refit.state)
+        return change(bench, base, problem, states[0])
+    return change(bench, base, refit.problem, refit.state)
 
 
-def _change(bench: Workbench, base: Refit, problem: Problem, state: FloatArray) -> list[Columns]:
-    """Return what a state changes in the prediction of the base model."""
+def change(bench: Workbench, base: Refit, problem: Problem, state: FloatArray) -> list[Columns]:
+    """
+    Return what a state changes in the prediction of the base model.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    base : Refit
+        The base model.
+    problem : Problem
+        Another problem, of as many steps in each trial.
+    state : ndarray
+        Its parameters.
+
+    Returns
+    -------
+    list of Columns
+        One curve in each trial.
+
+    """
     result = []
     for index in range(len(bench.trials)):
         force, height = bench.residual(problem, state, index)
@@ -147,7 +166,7 @@ def visible(bench: Workbench, base: Refit, tangent: Tangent, effect: str) -> boo
     """
     problem, states = bench.guesses(Model((*base.model.effects, effect)), base)
     for state in states:
-        curve = _change(bench, base, problem, state)
+        curve = change(bench, base, problem, state)
         raw = float(np.linalg.norm(tangent.white(curve)))
         if raw > 0.0 and float(np.linalg.norm(tangent.beyond(curve))) > _HIDDEN * raw:
             return True

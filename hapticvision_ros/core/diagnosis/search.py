@@ -29,7 +29,7 @@ from typing import Final
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
 from hapticvision_ros.core.diagnosis.excess import Excess, louder
-from hapticvision_ros.core.diagnosis.likeness import left_out, pairs, Tangent, visible
+from hapticvision_ros.core.diagnosis.likeness import change, left_out, pairs, Tangent, visible
 from hapticvision_ros.core.diagnosis.records import (
     Candidate,
     Diagnosis,
@@ -37,7 +37,7 @@ from hapticvision_ros.core.diagnosis.records import (
     Status,
     Unexplained,
 )
-from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
     drawn_out,
@@ -59,6 +59,7 @@ from hapticvision_ros.core.fit.campaign import (
     line_spectrum,
     pairs_of,
     places_of,
+    Problem,
     Segmented,
 )
 from hapticvision_ros.core.fit.data import along, arm_of, FitTrial, prepare
@@ -89,8 +90,10 @@ _OPEN: Final = 4
 _ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
 """Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
 _ARM_TURNS: Final = 20
+_LITTLE: Final = 0.1
+"""Part of these that shows what they would take out."""
 _PROMISING: Final = 0.1
-"""Part of what effects take out that one of these must take out to look further."""
+"""Part of what effects take out that these must promise to take out to look further."""
 _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_SHARE: Final = 0.03
@@ -177,15 +180,16 @@ def diagnose(
         otherwise = _otherwise(trials, prepared, before, outcome)
         if otherwise is not None:
             tell('trying another way of the arm to change its speed')
+            arm, better = otherwise
             again = diagnose(
                 trials,
                 progress=progress,
                 workers=workers,
                 limits=limits,
                 dated=dated,
-                servo=otherwise,
+                servo=arm,
             )
-            fewer = len(again.effects) < len(outcome.effects)
+            fewer = better or len(again.effects) < len(outcome.effects)
             if fewer or (outcome.rest and again.unexplained is None):
                 return again
     after = before
@@ -219,12 +223,13 @@ def _otherwise(
     prepared: Sequence[FitTrial | None],
     before: Fit,
     outcome: '_Outcome',
-) -> Servo | None:
+) -> tuple[Servo, bool] | None:
     """
     Return how the arm may change its speed so that fewer effects, or none, explain the forces.
 
     Encoders that round leave a lag or a mass at each stop open. What they tell, and what the
-    forces tell beside each smaller model, is taken together.
+    forces tell beside each smaller model, is taken together; also whether that is the better
+    account, and not only as good.
     """
     known, corners = arm_of(trials)
     if known is None:
@@ -250,15 +255,28 @@ def _otherwise(
             found = moved.base(smaller)
             return found.deviance + paid + told(corners, tried) - start
 
-        # A step in each direction shows whether it is worth while to look further.
-        steps = np.vstack((_ARM_STEPS, -_ARM_STEPS))
-        first = min(cost(step) for step in steps)
-        if least - first < _PROMISING * (least - reached):
+        # What a little of each change would take out shows whether to look further.
+        little = [
+            _moved(bench, each.without, along(trials, prepared, known.changed(*step)))
+            for step in (_LITTLE * _ARM_STEPS).tolist()
+        ]
+        columns = [
+            Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
+            for of in zip(*little, strict=True)
+        ]
+        promised = bench.smooth(each.without, columns, again=False).gain
+        if promised < _PROMISING * (least - reached):
             continue
         left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
         if left < reached + LEAD:
-            return known.changed(*x.tolist())
+            return known.changed(*x.tolist()), left < reached - LEAD
     return None
+
+
+def _moved(bench: Workbench, found: Refit, trials: Sequence[FitTrial]) -> list[Columns]:
+    """Return what another way of the tool changes in the prediction of a model."""
+    other = Problem(found.model, trials, found.problem.scatter)
+    return change(bench, found, other, found.state)
 
 
 def earlier(

@@ -116,11 +116,14 @@ def rounding(value: FloatArray) -> float:
 
     """
     changes = np.abs(np.diff(value))
-    changes = changes[changes > _ROUNDING * float(np.abs(value).max(initial=0.0))]
+    goes = changes > _ROUNDING * float(np.abs(value).max(initial=0.0))
+    changes = changes[goes]
     if changes.size < _FEWEST_STEPS:
         return 0.0
+    # A slow tool goes on by a single step at a time, and rests in between.
+    rests = int(np.count_nonzero(np.diff(np.flatnonzero(goes)) > 1))
     step, multiples, turns = _step(changes, float(changes.min()))
-    if multiples < _MULTIPLES and turns < _FEWEST_STEPS:
+    if multiples < _MULTIPLES and max(turns, rests) < _FEWEST_STEPS:
         step = 0.0
     if step == 0.0:
         # A quick tool never goes on by a single step, but by one more or less from time to time.
