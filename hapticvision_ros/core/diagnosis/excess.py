@@ -67,6 +67,12 @@ _SLOW: Final = 0.5
 """Slow noise of the fit over all noise without contact that is more than an arm's ripple."""
 _SLOWER: Final = 2.0
 """What is left of either in a mean over long, one over the other, where the fit's is slower."""
+_LOUDER: Final = 1.1
+"""
+Residual in contact, away from changes of speed, over the noise, that slow noise makes at least.
+
+At these the tool's own way may be off for a moment, which a fit takes for slow noise as well.
+"""
 _COARSE: Final = 0.3
 """Rounding over the noise without contact, above which the latter may be hidden by it."""
 
@@ -276,6 +282,8 @@ def _held(
     whole = np.concatenate([each[2] for each in known])
     ratio = math.sqrt(float(np.mean(whole**2))) / noise
     quieter = ratio < _LOUD + unsure and worst < _LOUD_TRIAL + math.hypot(unsure, error)
+    if ratio < _LOUDER:
+        memory = 0.0
     if quieter and memory == 0.0:
         return None
     return Excess(channel, ratio, name, worst, memory)
