@@ -212,6 +212,26 @@ def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     assert diagnose(made).status == 'unexplained'
 
 
+@pytest.mark.parametrize('seed', range(2))
+def test_a_long_stop_of_a_slow_push_before_coarse_encoders_is_no_effect(
+    smoothed: Any, seed: int
+) -> None:
+    """Steps of 10 um, of which the tool makes one in three samples."""
+    made = smoothed(
+        Body(17000.0, 66000.0, 254000.0),
+        (0.003, 0.003, 0.003),
+        speed=0.00093,
+        smooth=0.11,
+        lag=0.006,
+        resolution=1e-5,
+        noise=0.35,
+        hold=12.0,
+        seed=seed,
+    )
+    found = diagnose(made)
+    assert (found.status, found.effects) == ('none', ())
+
+
 def test_a_campaign_that_the_base_explains_says_none(case: Any) -> None:
     found = case(None, 1).found
     assert (found.status, found.effects, found.sets) == ('none', (), ())

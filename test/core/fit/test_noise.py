@@ -47,6 +47,12 @@ def test_steps_of_the_encoders_are_seen_beside_a_quick_tool(speed: float) -> Non
     assert rounding(read) == pytest.approx(1.851e-6 / np.sqrt(12.0), rel=1e-3)
 
 
+def test_steps_of_the_encoders_are_seen_below_a_slow_tool() -> None:
+    """Less than a step from sample to sample: it reads one more from time to time."""
+    read = np.round(np.minimum(3.716e-6 * np.arange(900), 0.003) / 1e-5) * 1e-5
+    assert rounding(read) == pytest.approx(1e-5 / np.sqrt(12.0), rel=1e-3)
+
+
 def test_no_steps_are_seen_of_a_tool_that_is_accelerated_evenly() -> None:
     for start, lasts in ((0.503, 0.2), (0.5, 0.317)):
         t = np.arange(0.0, 3.0, 0.01)
