@@ -218,6 +218,13 @@ class Workbench:
         problem.set_noise(noise.force, noise.height, problem.unsure(state, noise.blur))
         return self._settled(problem, state, noise.force, noise.height, noise.blur)
 
+    def taken_over(self, found: Refit) -> Refit:
+        """Return a model of another bench as it stands on this one, with noise of its own."""
+        problem = Problem(found.model, self.trials, self.scatter)
+        state = carried(found.problem, found.state, problem)
+        problem.set_noise(found.force_noise, found.height_noise, problem.unsure(state, found.blur))
+        return self._settled(problem, state, found.force_noise, found.height_noise, found.blur)
+
     def refit(self, model: Model, near: Refit) -> Refit | None:
         """
         Fit a model, starting from a part of it or from one with more effects.

@@ -33,8 +33,9 @@ from dataclasses import dataclass
 import math
 from typing import Final
 
-from hapticvision_ros.core.diagnosis.refit import Refit
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.fit.campaign import carried, Problem
+from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.least_squares import covariance, minimise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
@@ -138,7 +139,7 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     repeated = [list(group) for group in groups if len(group) > 1]
     if not repeated:
         return None
-    shifts, noises = _shifts(found)
+    shifts, noises = _shifts(_withdrawn_alike(found, repeated))
     times = np.array([trial.campaign_time for trial in found.problem.trials])
     slope = _trend(shifts, noises, times, repeated)
     late = np.zeros(times.size) if slope == 0.0 else times - times.mean()
@@ -205,6 +206,38 @@ def _common(
     chances = np.cumsum(np.exp(-0.5 * (deviances - deviances.min()))[1:])
     limit = int(np.searchsorted(chances, (1.0 - _CAUTION) * chances[-1]))
     return likeliest, float(_SIZES[1:][limit])
+
+
+def _withdrawal(trial: FitTrial) -> float:
+    """Return how fast a tool withdraws over half its depth [m/s]; zero if it stays."""
+    if trial.t_release is None:
+        return 0.0
+    after = trial.t[trial.t >= trial.t_release]
+    depth = trial.path.at(after)
+    if after.size < 2 or depth[-1] > 0.5 * depth[0]:
+        return 0.0
+    half = int(np.argmax(depth <= 0.5 * depth[0]))
+    return float((depth[0] - depth[half]) / (after[half] - after[0]))
+
+
+def _withdrawn_alike(found: Refit, groups: Sequence[Sequence[int]]) -> Refit:
+    """
+    Return the model for what repeats have in common.
+
+    A push whose tool withdraws otherwise is no repeat from there on: what a model lacks there, as
+    an object that sticks to the tool, makes another difference of each.
+    """
+    trials = found.problem.trials
+    speeds = [[_withdrawal(trials[index]) for index in group] for group in groups]
+    if all(max(each) - min(each) <= _SAME * max(each) for each in speeds):
+        return found
+    heads = [
+        trial
+        if trial.t_release is None
+        else trial.head(int(np.searchsorted(trial.t, trial.t_release)) - 1)
+        for trial in trials
+    ]
+    return Workbench(heads, None).taken_over(found)
 
 
 def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:

@@ -31,7 +31,7 @@ from hapticvision_ros.core.diagnosis.scatter import (
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.core.segmentation import segment
-from hapticvision_ros.sim.campaigns import random_campaign, run
+from hapticvision_ros.sim.campaigns import peak_force, random_campaign, run
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
@@ -87,6 +87,30 @@ def phases(speed: float | None, depth: float | None, hold: float | None) -> Segm
         force_zero=0.0,
         push_speed=speed,
         depth=depth,
+    )
+
+
+def test_repeats_that_withdraw_otherwise_are_compared_until_then(world: Any) -> None:
+    """An object that sticks to the tool makes another force of each withdrawal."""
+    campaign = world.campaign(PUSHES, hold=3.0, recover=2.0, rate=100.0)
+    speeds = np.random.default_rng(8).uniform(0.0005, 0.004, len(campaign.pushes))
+    pushes = tuple(
+        replace(push, release_speed=float(speed))
+        for push, speed in zip(campaign.pushes, speeds, strict=True)
+    )
+    force = peak_force(campaign)
+    sticky = Undeclared('adhesion', (0.15 * force,))
+    for scatter in (0.0, 0.02):
+        made = replace(campaign, pushes=pushes, scatter=scatter)
+        clean, stuck = (
+            measure(measured.bench()[1], conditions(measured.phases))
+            for measured in (world.measure(made, seed=1), world.measure(made, sticky, seed=1))
+        )
+        assert clean is not None
+        assert stuck is not None
+        assert stuck.std == pytest.approx(clean.std, abs=2e-4)
+    assert float(np.sqrt(np.mean(stuck.std**2))) == pytest.approx(
+        pooled(logarithms(world.measure(made, sticky, seed=1))), rel=0.15
     )
 
 
