@@ -149,24 +149,32 @@ def price(bench: Workbench, effect: str) -> float:
     return shared + len(declared.trial_parameters) * own
 
 
-def changes(bench: Workbench, one: Refit, other: Refit) -> FloatArray:
-    """Return by what two models differ, sample by sample, over the noise of the second."""
+def changes(bench: Workbench, one: Refit, other: Refit, *, calm: bool = False) -> FloatArray:
+    """
+    Return by what two models differ, sample by sample, over the noise of the second.
+
+    Where only `calm` counts, the noise is larger by what either model does not know of the
+    moments of jumps: a touch that one of them misplaces is no size of what it lacks.
+    """
     parts = []
     force_noise, height_noise = other.force_noise.std, other.height_noise.std
     for index, trial in enumerate(bench.trials):
         a, b = _predicted(one, index), _predicted(other, index)
-        force = (a[0] - b[0]) / force_noise
-        parts.append(force * np.sqrt(trial.force_count))
+        weight = np.sqrt(trial.force_count)
+        if calm:
+            unknown = np.maximum(one.jumps[index], other.jumps[index])
+            weight /= np.sqrt(1.0 + unknown * trial.force_count / force_noise**2)
+        parts.append((a[0] - b[0]) / force_noise * weight)
         if trial.height_t.size:
             height = (a[1] - b[1]) / height_noise
             parts.append(height * np.sqrt(trial.height_count))
     return np.concatenate(parts)
 
 
-def strength(bench: Workbench, one: Refit, other: Refit) -> float:
+def strength(bench: Workbench, one: Refit, other: Refit, *, calm: bool = False) -> float:
     """Return the root mean square of `changes` over all samples."""
     total = sum(float(t.force_count.sum() + t.height_count.sum()) for t in bench.trials)
-    difference = changes(bench, one, other)
+    difference = changes(bench, one, other, calm=calm)
     return math.sqrt(float(difference @ difference) / total)
 
 
@@ -492,7 +500,8 @@ def select(
         near = _near(bench, [*good, *_as_quick(bench, tried, good)])
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
-        strongest = max(strongest, leader.strength)
+        calm = not fleeting(bench, good[0].refit, leader.effect)
+        strongest = max(strongest, strength(bench, good[0].refit, current, calm=calm))
         current = good[0].refit
     return current, tuple(rounds)
 

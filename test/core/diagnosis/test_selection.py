@@ -30,6 +30,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     fleeting,
     seldom,
     select,
+    strength,
     Trialled,
 )
 from hapticvision_ros.core.fit.bend import Shape
@@ -203,3 +204,21 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     # What leads only by how the arm moved unseen does not lead.
     assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
     assert near(10.0, (960.0, 10.0)) == 0
+
+
+def test_a_misplaced_touch_is_no_size_of_what_a_model_lacks(world: Any) -> None:
+    """The force of a quick push jumps by many times the noise from one sample to the next."""
+    bench, base = world.measure(world.campaign(((0.02, 0.005),) * 2, hold=1.0), seed=1).bench()
+    problem, state = base.problem, base.state.copy()
+    for place in problem.places:
+        state[place.start] += 0.02 * problem.trials[0].interval
+    blunt = replace(base, state=state, jumps=problem.unsure(state, Blur(2.0, 1.0)))
+    whole = strength(bench, base, blunt)
+    assert whole > 0.3
+    assert strength(bench, base, blunt, calm=True) < 0.2 * whole
+    # What goes on for long counts as before.
+    longer = bench.refit(Model(('shear_thinning',)), base)
+    other = longer.state.copy()
+    other[longer.model.names.index('K1')] += 0.02
+    away = replace(longer, state=other)
+    assert strength(bench, away, longer, calm=True) > 0.9 * strength(bench, away, longer)
