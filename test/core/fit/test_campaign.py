@@ -301,6 +301,26 @@ def test_zeros_of_few_trials_that_wander_alike_do_not_drift() -> None:
     assert 0.02 < memory.wander < 0.08
 
 
+@pytest.mark.parametrize('drag', ['of the cable', 'of the guide'])
+def test_a_zero_that_goes_with_the_tool_in_all_trials_does_not_wander(drag: str) -> None:
+    """It would pass for slow noise, behind which whatever goes slowly is hidden."""
+    body = specimen.Body(1700.0, 1000.0, 2000.0)
+    pushes = tuple(campaigns.Push(speed, 0.004, 4.0, 3.0) for speed in (0.003, 0.008))
+    sensors = campaigns.Sensors(campaigns.ForceNoise(0.05), 3e-5, force_rate=100.0)
+    made = []
+    for trial in campaigns.run(campaigns.Campaign(body, pushes, sensors), seed=3).trials:
+        height = np.interp(trial.force.t, trial.tool_height.t, trial.tool_height.value)
+        speed = np.gradient(height, trial.force.t)
+        extra = 8.0 * height + 2.0 * speed
+        if drag == 'of the guide':
+            extra = -0.1 * np.tanh(speed / 2e-5)
+        force = Signal(trial.force.t, trial.force.value + extra)
+        made.append((replace(trial, force=force), segment(force, trial.tool_height, None)))
+    memory = fit(made).noise.memory
+    assert memory.wander == 0.0
+    assert memory.force < 1.0
+
+
 def test_a_jump_is_uncertain_where_the_force_bends() -> None:
     """By half a sample's step of the slope, over the samples of the mean, and beside it."""
     t = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 7.0, 8.0])
