@@ -855,4 +855,9 @@ def _range_sensor(
     clearance = parameter(vector, 'early_shadow', 'clearance')
     near = motion.at(t)[0] + offset > -clearance
     height += parameter(vector, 'early_shadow', 'b') * near
+    touched = (t > history.t_touch) & ~(t > history.t_loss)
+    height += parameter(vector, 'touch_shadow', 'b') * touched
+    loose = parameter(vector, 'loose_top', 'delta_0')
+    deepest = np.maximum.accumulate(motion.at(history.t)[0] + offset)
+    height += np.clip(np.interp(t, history.t, deepest) + loose, 0.0, loose)
     return height + parameter(vector, 'height_bias', 'b') * below

@@ -96,6 +96,8 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'contact_friction': (Quantity('F_c', 'N', 0.0),),
     'tool_mass': (Quantity('M', 'kg', 0.0),),
     'early_shadow': (Quantity('b', 'm', 0.0), Quantity('clearance', 'm', 0.0)),
+    'touch_shadow': (Quantity('b', 'm', 0.0),),
+    'loose_top': (Quantity('delta_0', 'm', 0.0),),
     'ageing_by_trial': (Quantity('rate', '1/h', 0.0),),
 }
 """
@@ -105,6 +107,8 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``contact_friction``: friction between tool and object only;
 ``tool_mass``: inertia of the tool itself, in air as in contact;
 ``early_shadow``: the height is biased from when the tool is `clearance` above the object;
+``touch_shadow``: the height is biased while the tool touches the object;
+``loose_top``: the top is pushed down by `delta_0` before the object resists, and stays down;
 ``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it.
 """
 
@@ -113,6 +117,8 @@ LAW_OF: Final[Mapping[str, str]] = {
     'contact_friction': 'friction',
     'tool_mass': 'inertia',
     'early_shadow': 'height_bias',
+    'touch_shadow': 'height_bias',
+    'loose_top': 'contact_offset',
     'ageing_by_trial': 'ageing',
 }
 """Whose laws these are."""

@@ -218,6 +218,8 @@ class Diagnosis:
     late : float
         By how much the stamps of the tool's height were late, and have been moved before all
         this [s].
+    contenders : tuple of str
+        The effects, each by the law that was looked for, that came near to being chosen or were.
 
     """
 
@@ -235,3 +237,4 @@ class Diagnosis:
     bootstrap: Bootstrap | None = None
     laws: tuple[str, ...] = ()
     late: float = 0.0
+    contenders: tuple[str, ...] = ()

@@ -42,6 +42,7 @@ from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
     drawn_out,
     eliminate,
+    GATE,
     LEAD,
     price,
     Round,
@@ -85,8 +86,8 @@ _TOO_MUCH: Final = 0.05
 """Scatter without repeats from which on the trials differ by more than specimens of a kind do."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
-_OPEN: Final = 4
-"""Candidates beside those in the sets among which the choice is made anew without some trials."""
+_OPEN: Final = 0.5
+"""Part of a leader's gain from which on another may lead without some of the trials."""
 _ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
 """Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
 _ARM_TURNS: Final = 20
@@ -215,7 +216,26 @@ def diagnose(
         before=before,
         after=after,
         warnings=outcome.warnings,
+        contenders=_contenders(outcome.rounds),
     )
+
+
+def _contenders(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Return the effects that might be chosen from some of the trials."""
+    names = dict[str, None]()
+    for each in rounds:
+        least = _OPEN * GATE
+        if each.alike:
+            leader = next(one for one in each.candidates if one.effect == each.alike[0])
+            least = _OPEN * leader.gain
+        names |= dict.fromkeys(each.alike)
+        names |= dict.fromkeys(
+            one.effect
+            for one in each.candidates
+            # Stamps that are late have been moved for all trials.
+            if one.refit is not None and one.gain > least and not BY_NAME[one.effect].misdates
+        )
+    return tuple(names)
 
 
 def _otherwise(
@@ -425,7 +445,7 @@ class _Search:
             status=status,
             effects=_named(order),
             sets=tuple(map(_named, named)),
-            not_testable=(*hidden, LOAD_CELL_GAIN),
+            not_testable=(*(n for n in hidden if n not in _named(order)), LOAD_CELL_GAIN),
             laws=tuple(name for name in order if LAW in name),
             look_alikes=_named_pairs(alike),
             ranking=ranking,
@@ -447,7 +467,11 @@ class _Search:
             if effect.name == LINE and not self.line:
                 # Without a line in the spectrum a sine would only follow slow noise.
                 continue
-            if without_law(effect.name) in hidden or (effect.misdates and self.dated):
+            usual = BY_NAME[without_law(effect.name)]
+            # What each trial finds for itself by the usual law may show by another.
+            if usual.name in hidden and not (usual.nuisance and not effect.nuisance):
+                continue
+            if effect.misdates and self.dated:
                 continue
             shown = not effect.nuisance and visible(bench, base, tangent, effect.name)
             if shown or not (LAW in effect.name or effect.misdates):
@@ -731,8 +755,8 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     """
     Choose the effects and fit the parameters without some trials.
 
-    The choice is among the effects of the sets and the best of the other candidates; which these
-    are, and the scatter, all trials have told.
+    The choice is among what came near to being chosen from all trials (`Diagnosis.contenders`);
+    these, the scatter and the memory of the noise, all trials have told.
 
     Parameters
     ----------
@@ -752,13 +776,7 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     if not trials:
         return None
     scatter = found.after.problem.scatter
-    bench = Workbench(trials, scatter if scatter.size else None)
-    base = bench.base(found.before)
-    laws = {without_law(name): name for name in found.laws}
-    # Those that are in a set stay open; of the others, the best.
-    open_ = list(dict.fromkeys(laws.get(n, n) for alike in found.sets for n in alike))
-    # Stamps that are late have been moved for all trials.
-    others = [each.effect for each in found.ranking if not BY_NAME[each.effect].misdates]
-    others = [name for name in others if laws.get(name, name) not in open_]
-    chosen, rounds = select(bench, base, [*open_, *others[:_OPEN]])
+    known = scatter if scatter.size else None
+    bench = Workbench(trials, known, found.before.noise.memory)
+    chosen, rounds = select(bench, bench.base(found.before), found.contenders)
     return eliminate(bench, chosen, rounds)[0]

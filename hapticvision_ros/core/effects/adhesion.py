@@ -40,9 +40,9 @@ EFFECT = Effect(
             0.0,
             math.inf,
             lambda scale: max(scale.pull, 0.02 * scale.force),
-            # Samples average the pull with what comes after it, and the force jumps past many
-            # values: between these a search does not find its way.
-            scan=(1.0, 1.1, 1.2, 1.5, 2.2, 3.3),
+            # Samples average the pull with what comes after it, noise makes it look larger, and the
+            # force jumps past many values: between these a search does not find its way.
+            scan=(0.8, 0.9, 1.0, 1.1, 1.25, 1.6, 2.3, 3.3),
         ),
     ),
     validity='A pull-off force that depends neither on the speed nor on the time in contact.',

@@ -15,17 +15,47 @@
 """The touch happens before or after the detected contact."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 
-from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
+from hapticvision_ros.core.effects.declaration import (
+    Draft,
+    DrivenTrial,
+    Effect,
+    EffectParameter,
+    Prediction,
+)
 from hapticvision_ros.core.models.chain import Slot
+import numpy as np
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.OFFSET, values[0])
 
 
-EFFECT = Effect(
+def _loose_top(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    delta_0 = values[0]
+    deepest = np.maximum.accumulate(trial.displacement)
+    for t, height, derivatives in (
+        (trial.height_t, prediction.height, prediction.d_height),
+        (trial.t, prediction.surface, prediction.d_surface),
+    ):
+        reached = np.interp(t, trial.t, deepest)
+        if delta_0 >= 0.0:
+            closed = np.clip(reached + delta_0, 0.0, delta_0)
+            moves = reached + delta_0 > 0.0
+        else:
+            # A top that is not seen to move stays where it was.
+            moves = (reached > 0.0) & (height + delta_0 > 0.0)
+            closed = np.where(moves, delta_0, -height) * (reached > 0.0)
+        height += closed
+        if rows:
+            derivatives[rows[0], moves] += 1.0
+
+
+_OF_THE_TOUCH = Effect(
     name='contact_offset',
     title='Contact offset',
     kind='cell',
@@ -54,4 +84,25 @@ EFFECT = Effect(
     ),
     shape=_shape,
     nuisance=True,
+)
+
+EFFECT = replace(
+    _OF_THE_TOUCH,
+    laws=(
+        replace(
+            _OF_THE_TOUCH.following(
+                'loose_top',
+                sketch="""
+    H_measured = H + delta_0 from the touch on, also after the release;  F as without
+    """,
+                validity=(
+                    'A top that the tool pushes down before the object resists, and that stays '
+                    'down; negative: the object resists before its top is seen to move.'
+                ),
+                source=_OF_THE_TOUCH.source,
+                observe=_loose_top,
+            ),
+            nuisance=False,
+        ),
+    ),
 )

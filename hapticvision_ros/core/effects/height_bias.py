@@ -58,6 +58,17 @@ def _near(
         prediction.d_height[rows[1], passing] += bias / width[passing]
 
 
+def _touching(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
+    assert prediction.touched is not None
+    step = np.searchsorted(trial.t, trial.height_t, side='right') - 1
+    hidden = prediction.touched[np.clip(step, 0, prediction.touched.size - 1)]
+    prediction.height[hidden] += values[0]
+    if rows:
+        prediction.d_height[rows[0], hidden] += 1.0
+
+
 _BELOW = Effect(
     name='height_bias',
     title='Height bias',
@@ -107,6 +118,15 @@ EFFECT = replace(
                     scan=(0.3, 0.45, 0.7, 1.0, 1.5, 2.2),
                 ),
             ),
+        ),
+        _BELOW.following(
+            'touching',
+            sketch="""
+    H_measured = H + b while the tool touches the object
+    """,
+            validity='A shift that ends when the object comes off the tool, however deep that is.',
+            source=_BELOW.source,
+            observe=_touching,
         ),
     ),
 )

@@ -26,7 +26,7 @@ from hapticvision_ros.core.effects.declaration import (
     Prediction,
 )
 from hapticvision_ros.core.models.chain import Slot
-import numpy as np
+from hapticvision_ros.core.models.motion import acceleration
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
@@ -36,20 +36,10 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 def _of_the_tool(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
-    length = np.diff(trial.t)
-    speed = np.diff(trial.displacement) / length
-    # The speed at the end of a step is that of the parabola through it and its neighbours.
-    at_ends = np.concatenate(
-        (
-            speed[:1],
-            (length[:-1] * speed[1:] + length[1:] * speed[:-1]) / (length[:-1] + length[1:]),
-            speed[-1:],
-        )
-    )
-    acceleration = np.diff(at_ends) / length
-    prediction.force += values[0] * acceleration
+    felt = acceleration(trial.t, trial.displacement)
+    prediction.force += values[0] * felt
     if rows:
-        prediction.d_force[rows[0]] += acceleration
+        prediction.d_force[rows[0]] += felt
 
 
 _AT_THE_CONTACT = Effect(

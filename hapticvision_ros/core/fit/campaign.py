@@ -53,6 +53,7 @@ from hapticvision_ros.core.fit.noise_model import (
 )
 from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.models.motion import acceleration
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, runs
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
@@ -93,6 +94,13 @@ _FIRST_RECORDS: Final = 2
 """Records that the first look at the noise takes, about: it only has to come near."""
 _BLURS: Final = (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
+_TOUCH: Final = math.sqrt(1.0 / 12.0)
+"""
+How well the moment of a touch is known at best, in samples.
+
+Whether a reading of the load cell is of a moment or a mean is not known, and each trial has a
+touch of its own to suit the one reading that it falls on.
+"""
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""
 _DENSE: Final = 0.05
@@ -660,7 +668,7 @@ class Problem:
 
         last = _bluntest(self.trials)
         return Blur(
-            _sharpest(lambda place: misfit(place)[0], blur.touch, last),
+            max(_sharpest(lambda place: misfit(place)[0], blur.touch, last), _TOUCH),
             _sharpest(lambda place: misfit(place)[1], blur.later, last),
         )
 
@@ -1331,9 +1339,9 @@ def without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | 
     Returns
     -------
     tuple of Blocks, ndarray and ndarray, or None
-        The record, of n blocks; the force [N], shape (n,); what it may go with, shape (4, n): the
-        time since the zero [s], whether the tool slides and which way, its displacement [m] and
-        speed [m/s]. None where hardly anything is seen without contact.
+        The record, of n blocks; the force [N], shape (n,); what it may go with, shape (5, n): the
+        time since the zero [s], whether the tool slides and which way, its displacement [m], speed
+        [m/s] and acceleration [m/s^2]. None where hardly anything is seen without contact.
 
     """
     blocks = force_blocks(trial)
@@ -1366,6 +1374,7 @@ def without_contact(trial: FitTrial) -> tuple[Blocks, FloatArray, FloatArray] | 
             np.tanh(speed / _SLIDES),
             0.5 * (trial.displacement[1:] + trial.displacement[:-1]),
             speed,
+            acceleration(trial.t, trial.displacement),
         )
     )
     return part, rest, np.insert(along[:, at], gaps + 1, 0.0, axis=1)

@@ -76,6 +76,8 @@ _CORNER_SAMPLES: Final = 64
 """Corners that are so many samples of the encoders apart may be one change of speed."""
 _APART: Final = 16
 """Those that are further apart are tried as several if they are not one."""
+_ALONE: Final = 3.0
+"""Gap between corners over all others from which on it parts two changes of speed."""
 _DENSE: Final = 0.05
 """Quantile of the intervals of the encoders that is theirs where samples are dense."""
 _BURST: Final = 10
@@ -106,8 +108,6 @@ _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
-_CLEARLY: Final = 2.0
-"""Noise by the stamps over that of the samples from which on it is another."""
 _ZOOMS: Final = 5
 _ROUGH_ZOOMS: Final = 3
 """Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
@@ -969,22 +969,18 @@ def _path(
         t, value = t[~late], value[~late]
     top = -_AIR * float(value.max())
     below = np.flatnonzero(value > top)
-    first, last = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
-    inner_t, inner_value = t[first:last], value[first:last]
-    turns: list[_Turned] = []
-    if noise <= 1e-7 * float(np.ptp(inner_value)) or inner_t.size < 16:
-        knots, levels = _thinned(inner_t, inner_value)
-    else:
-        times = (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss)
-        breaks = sorted({b for b in times if b is not None and inner_t[1] < b < inner_t[-2]})
-        found = _pieces(inner_t, inner_value, breaks, noise)
-        knots, levels = _levels(inner_t, inner_value, _meet(inner_t, inner_value, found, noise))
-        knots, levels = _followed(inner_t, inner_value, knots, levels, noise)
-        if knots.size > _MOST_PIECES:
-            knots, levels = inner_t, inner_value
-        else:
-            coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
-            knots, levels, turns = _bent(inner_t, inner_value, knots, levels, noise, coarse, servo)
+    near = max(int(below[0]) - 1, 0), min(int(below[-1]) + 2, t.size)
+    times = (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss)
+    events = [time for time in times if time is not None]
+    # A tool that has a mass is felt in the air as well where it changes its speed.
+    first, last = 0, t.size
+    found = _closely(t, value, events, noise, servo)
+    if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
+        first, last = near
+        found = _closely(t[first:last], value[first:last], events, noise, servo)
+    if found is None:
+        found = t[first:last], value[first:last], []
+    knots, levels, turns = found
     tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
     before = _coarse(t[:first], value[:first], tolerance)
     after = _coarse(t[last:], value[last:], tolerance)
@@ -996,7 +992,32 @@ def _path(
         float(np.quantile(np.diff(t), _DENSE)),
         servo,
     )
-    return path, turns
+    return path, [turn for turn in turns if t[near[0]] < turn.bend.t < t[near[1] - 1]]
+
+
+def _above(start: float, stop: float, knots: FloatArray) -> int:
+    """Return how many corners a path has before a time and after another."""
+    return int(np.count_nonzero((knots < start) | (knots > stop)))
+
+
+def _closely(
+    t: FloatArray,
+    value: FloatArray,
+    events: Sequence[float],
+    noise: float,
+    servo: Servo | None,
+) -> tuple[FloatArray, FloatArray, list[_Turned]] | None:
+    """Return a path that follows the samples; None where it takes too many corners."""
+    if noise <= 1e-7 * float(np.ptp(value)) or t.size < 16:
+        return *_thinned(t, value), []
+    breaks = sorted({b for b in events if t[1] < b < t[-2]})
+    found = _pieces(t, value, breaks, noise)
+    knots, levels = _levels(t, value, _meet(t, value, found, noise))
+    knots, levels = _followed(t, value, knots, levels, noise)
+    if knots.size > _MOST_PIECES:
+        return None
+    coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
+    return _bent(t, value, knots, levels, noise, coarse, servo)
 
 
 def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -1050,7 +1071,7 @@ def _bent(
         )
         found = next(filter(None, tried), None)
         gaps = np.diff(knots[group])
-        if found is None and gaps.max(initial=0.0) > _APART * step:
+        if found is None and _are_apart(gaps, step):
             # A stop and the start of the release after a short hold are two changes of speed.
             cut = int(np.argmax(gaps)) + 1
             pending += [group[cut:], group[:cut]]
@@ -1072,6 +1093,17 @@ def _bent(
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         return knots, levels, []
     return made, heights, turns
+
+
+def _are_apart(gaps: FloatArray, step: float) -> bool:
+    """Return whether corners with gaps between them are of two changes of speed."""
+    if not gaps.size:
+        return False
+    most = float(gaps.max())
+    # A quick push is a few samples of the encoders between two bundles of corners.
+    others = np.delete(gaps, int(np.argmax(gaps)))
+    alone = most > _ALONE * float(others.max(initial=step))
+    return most > _APART * step or (alone and most > _EDGE_SAMPLES[0] * step)
 
 
 def _bend(
@@ -1358,24 +1390,21 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
 
 def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     """Return the standard deviation of an encoder's sample, steps of its reading included."""
-    curvature = np.abs(np.diff(value, 2))
-    noise = NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
+    # Held against their stamps: samples may come unevenly, and so may what their stamps say.
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(beside))) / math.sqrt(1.5)
     steps = np.abs(np.diff(value))
-    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides: in
-    # the samples where these are irregular themselves, else against their stamps.
+    # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
     moves = steps > _MOVING * noise
-    fast = moves[1:] & moves[:-1]
-    if noise > 0.0 and np.count_nonzero(fast) >= _FEWEST:
-        noise = max(noise, NORMAL_FROM_MAD * float(np.median(curvature[fast])) / math.sqrt(6.0))
-    fast = fast[1:] & moves[:-2]
+    fast = moves[2:] & moves[1:-1] & moves[:-2]
     if np.count_nonzero(fast) >= _FEWEST:
-        share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-        beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-        # What a tool that is accelerated is beside the line is alike for neighbours.
-        change = np.abs(np.diff(beside))[fast]
-        stamps = NORMAL_FROM_MAD * float(np.median(change)) / math.sqrt(5.0)
-        # The larger of two estimates of one noise would be more than it is.
-        noise = stamps if stamps > _CLEARLY * noise else noise
+        off, alike = beside[1:][fast], 1.5
+        if noise == 0.0:
+            # Readings that round, or none of any noise: what a tool that is accelerated is beside
+            # the line is then much, and alike for neighbours.
+            off, alike = np.diff(beside)[fast], 5.0
+        noise = max(noise, NORMAL_FROM_MAD * float(np.median(np.abs(off))) / math.sqrt(alike))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     noise = max(noise, rounding(value))
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):

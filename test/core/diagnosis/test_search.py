@@ -17,11 +17,12 @@
 
 from dataclasses import replace
 import math
+import re
 from typing import Any
 
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
-from hapticvision_ros.core.diagnosis.search import diagnose
+from hapticvision_ros.core.diagnosis.search import choose_again, diagnose
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
@@ -94,6 +95,21 @@ def test_squares_on_an_unseen_trial_fall_to_the_noise(
 
 
 @ACTING
+def test_what_came_near_is_chosen_from_without_some_trials(
+    case: Any, effect: Undeclared, seed: int
+) -> None:
+    found = case(effect, seed).found
+    left_out = {found.before.problem.trials[0].name}
+    again = choose_again(found, left_out)
+    assert again is not None
+    assert again.model.effects == (effect.name,)
+    # Nothing else is looked for anew.
+    none = choose_again(replace(found, contenders=()), left_out)
+    assert none is not None
+    assert none.model.effects == ()
+
+
+@ACTING
 def test_each_left_out_push_is_predicted_better(case: Any, effect: Undeclared, seed: int) -> None:
     ranking = case(effect, seed).found.ranking
     assert ranking[0].effect == effect.name
@@ -116,6 +132,8 @@ def test_other_laws_are_looked_for_where_the_usual_ones_find_nothing(noise_only:
         (Undeclared('contact_friction', (0.3,)), 12, 'friction:in_contact'),
         (Undeclared('tool_mass', (0.3,)), 13, 'inertia:of_the_tool'),
         (Undeclared('early_shadow', (2e-4, 1.5e-3)), 14, 'height_bias:near'),
+        (Undeclared('touch_shadow', (-2e-4,)), 17, 'height_bias:touching'),
+        (Undeclared('loose_top', (3e-4,)), 18, 'contact_offset:loose_top'),
         (Undeclared('ageing', (8.0,)), 15, 'ageing:within_trials'),
     ],
     ids=lambda value: getattr(value, 'name', ''),
@@ -153,7 +171,9 @@ def test_stamps_of_the_arm_that_are_late_are_moved_and_no_effect(world: Any) -> 
     found = diagnose(measured.pairs)
     assert (found.status, found.effects) == ('none', ())
     assert found.late == pytest.approx(0.008, abs=2e-4)
-    assert 'are 8 ms late' in ''.join(found.warnings).replace('7.99', '8').replace('8.01', '8')
+    told = re.search(r'are ([0-9.]+) ms late', ''.join(found.warnings))
+    assert told is not None
+    assert float(told.group(1)) == pytest.approx(8.0, abs=0.2)
     assert 'arm_clock_offset' not in found.not_testable
     body = measured.truth.body
     off = np.exp(found.before.theta[:3]) / [body.K1, body.C1, body.C2] - 1.0
