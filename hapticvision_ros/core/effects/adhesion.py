@@ -40,8 +40,8 @@ EFFECT = Effect(
             0.0,
             math.inf,
             lambda scale: max(scale.pull, 0.02 * scale.force),
-            # Samples average the pull with what comes after it, noise makes it look larger, and the
-            # force jumps past many values: between these a search does not find its way.
+            # Samples average the pull with what comes after it, noise makes it look larger, and
+            # the force jumps past many values: between these a search does not find its way.
             scan=(0.8, 0.9, 1.0, 1.1, 1.25, 1.6, 2.3, 3.3),
         ),
     ),

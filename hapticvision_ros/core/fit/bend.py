@@ -51,6 +51,8 @@ _MOST: Final = 24
 """Those that are looked at."""
 _BRIEFEST: Final = 1e-4
 """Acceleration that comes and goes at once, as how it does so cannot be told apart [s]."""
+_RESTING: Final = 0.1
+"""Speed after a stop, over that before, below which it is one."""
 _LONGEST: Final = 3.0
 """How long a change of speed may take, over the longest that was found for one."""
 
@@ -227,6 +229,11 @@ class Corner(NamedTuple):
         return self.next_slope - self.slope
 
     @property
+    def is_stop(self) -> bool:
+        """Return whether the tool comes to rest."""
+        return abs(self.next_slope) < _RESTING * abs(self.slope)
+
+    @property
     def shifts(self) -> FloatArray:
         """Return where a tool at rest may be beside its reading; shape (k,) [m]."""
         if self.rest < 0:
@@ -341,6 +348,8 @@ class Servo:
         Whether the acceleration is the same for all changes, and not its duration.
     lasts : float
         How long the acceleration of a usual change of speed lasts [s].
+    stops : bool
+        Whether only the stops are alike, and the others as they are.
 
     """
 
@@ -349,6 +358,11 @@ class Servo:
     lag: float
     even: bool
     lasts: float
+    stops: bool = False
+
+    def makes(self, corner: Corner) -> bool:
+        """Return whether a change of speed is one that it makes alike."""
+        return corner.is_stop or not self.stops
 
     def changed(self, duration: float, lag: float, jerk: float) -> 'Servo':
         """
@@ -386,7 +400,7 @@ class Servo:
 
 def told(corners: Sequence[Corner], servo: Servo) -> float:
     """Return minus twice the log likelihood of how an arm changes its speed."""
-    return sum(corner.deviance(servo.shape(corner.turn)) for corner in corners)
+    return sum(c.deviance(servo.shape(c.turn)) for c in corners if servo.makes(c))
 
 
 def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
@@ -427,9 +441,19 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
     -------
     Servo or None
         None where the changes of speed differ by more than the encoders' noise, by Schwarz's
-        criterion, or there are too few.
+        criterion, or there are too few. If they do but the stops do not, it makes these.
 
     """
+    found = _alike(corners, shapes)
+    stops = [k for k, corner in enumerate(corners) if corner.is_stop]
+    if found is None and len(stops) < len(corners):
+        found = _alike([corners[k] for k in stops], [shapes[k] for k in stops])
+        found = None if found is None else replace(found, stops=True)
+    return found
+
+
+def _alike(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:
+    """Return how an arm makes some changes of speed, if they are alike."""
     if len(corners) < _FEWEST:
         return None
     # The largest changes of speed tell most, some of each kind.

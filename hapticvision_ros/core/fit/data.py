@@ -1142,6 +1142,8 @@ def _bend(
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
     enough = _FOLLOWS**2 * corner.t.size * noise**2
+    if servo is not None and not servo.makes(corner):
+        return None
     if servo is None:
         shape, shift = _shape_of(corner, 4.0 * margin, enough)
     else:

@@ -18,7 +18,7 @@
 from dataclasses import replace
 
 from hapticvision_ros.core.fit.bend import rounded, servo_of, Shape
-from hapticvision_ros.core.fit.data import _path, prepare, tool_path, ToolPath
+from hapticvision_ros.core.fit.data import _path, arm_of, prepare, tool_path, ToolPath
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
@@ -65,17 +65,25 @@ def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
     assert rounded(away, shape) == pytest.approx(way, abs=3e-5)
 
 
-def _campaign(shapes: list[Shape], step: float) -> list[tuple[Trial, Segmentation]]:
+def _campaign(
+    shapes: list[Shape], step: float, released: list[Shape] | None = None
+) -> list[tuple[Trial, Segmentation]]:
     """Return pushes whose tool goes as given, through encoders that round; the force is not."""
     pushes = tuple(Push(speed, 0.004, 4.0, 2.0) for speed in SPEEDS)
     sensors = Sensors(ForceNoise(0.01), 1e-5)
     made = []
     trials = run(Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors), seed=3).trials
-    for trial, speed, shape in zip(trials, SPEEDS, shapes, strict=True):
+    for trial, speed, shape, other in zip(
+        trials, SPEEDS, shapes, released or shapes, strict=True
+    ):
         phases = segment(trial.force, trial.tool_height, trial.displacement_height)
         t = np.arange(0.0, trial.tool_height.t[-1], 0.008)
-        touch = phases.t_contact
-        way = _way(t - touch + 0.001 / speed, speed, 0.004 / speed, shape, 0.004 / speed + 4.0)
+        since = t - phases.t_contact + 0.001 / speed
+        way, later = (
+            _way(since, speed, 0.004 / speed, each, 0.004 / speed + 4.0) for each in (shape, other)
+        )
+        held = int(np.searchsorted(since, 0.004 / speed + 3.0))
+        way[held:] = later[held:] + way[held] - later[held]
         read = phases.contact_height - np.round(way / step) * step
         made.append((replace(trial, tool_height=Signal(t, read)), phases))
     return made
@@ -124,3 +132,19 @@ def test_changes_of_speed_that_differ_are_not_made_alike() -> None:
     assert not told[1].even
     assert told[1].lag == pytest.approx(SHAPE.lag, rel=0.15)
     assert told[1].duration == pytest.approx(SHAPE.duration, rel=0.15)
+
+
+def test_stops_may_be_alike_where_withdrawals_are_not() -> None:
+    released = [Shape(duration) for duration in (0.03, 0.2, 0.09, 0.4)]
+    trials = _campaign([SHAPE] * 4, 5e-6, released)
+    servo, corners = arm_of(trials)
+    assert servo is not None and servo.stops
+    assert [servo.makes(corner) for corner in corners].count(True) == len(trials)
+    made, _ = prepare(trials)
+    off = [
+        _off(trial.path, phases, speed)
+        for trial, (_, phases), speed in zip(made, trials, SPEEDS, strict=True)
+        if trial is not None
+    ]
+    assert len(off) == len(trials)
+    assert max(off) < 0.02
