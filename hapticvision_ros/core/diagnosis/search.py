@@ -86,7 +86,7 @@ _TOO_MUCH: Final = 0.05
 """Scatter without repeats from which on the trials differ by more than specimens of a kind do."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
-_OPEN: Final = 0.5
+_OPEN: Final = 0.7
 """Part of a leader's gain from which on another may lead without some of the trials."""
 _ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
 """Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
@@ -224,7 +224,7 @@ def _contenders(rounds: Sequence[Round]) -> tuple[str, ...]:
     """Return the effects that might be chosen from some of the trials."""
     names = dict[str, None]()
     for each in rounds:
-        least = _OPEN * GATE
+        least = 0.5 * GATE
         if each.alike:
             leader = next(one for one in each.candidates if one.effect == each.alike[0])
             least = _OPEN * leader.gain
@@ -254,42 +254,53 @@ def _otherwise(
     known, corners = arm_of(trials)
     if known is None:
         return None
-    start = told(corners, known)
+    arms = [known]
+    if not known.stops:
+        # Encoders that round may take the stops for what the withdrawals are.
+        arms.append(replace(known, stops=True, others=known))
     memory, scatter = before.noise.memory, outcome.scatter
     bench = Workbench(before.problem.trials, scatter, memory)
     reached = _worth(bench, outcome.chosen)
     if outcome.rest and not outcome.effects:
         reached -= outcome.rest[0].gain
-    for each in outcome.rounds:
-        if not each.alike and (outcome.effects or not outcome.rest):
-            break
-        if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
-            break
-        smaller = each.without.as_fit(before)
-        paid = sum(price(bench, name) for name in smaller.model.effects)
-        least = _worth(bench, each.without)
+    for arm in arms:
+        start = told(corners, arm)
+        for each in outcome.rounds:
+            if not each.alike and (outcome.effects or not outcome.rest):
+                break
+            if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
+                break
+            smaller = each.without.as_fit(before)
+            paid = sum(price(bench, name) for name in smaller.model.effects)
+            least = _worth(bench, each.without)
 
-        def cost(x: FloatArray, smaller: Fit = smaller, paid: float = paid) -> float:
-            tried = known.changed(*x.tolist())
-            moved = Workbench(along(trials, prepared, tried), scatter, memory)
-            found = moved.base(smaller)
-            return found.deviance + paid + told(corners, tried) - start
+            def cost(
+                x: FloatArray,
+                arm: Servo = arm,
+                start: float = start,
+                smaller: Fit = smaller,
+                paid: float = paid,
+            ) -> float:
+                tried = arm.changed(*x.tolist())
+                moved = Workbench(along(trials, prepared, tried), scatter, memory)
+                found = moved.base(smaller)
+                return found.deviance + paid + told(corners, tried) - start
 
-        # What a little of each change would take out shows whether to look further.
-        little = [
-            _moved(bench, each.without, along(trials, prepared, known.changed(*step)))
-            for step in (_LITTLE * _ARM_STEPS).tolist()
-        ]
-        columns = [
-            Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
-            for of in zip(*little, strict=True)
-        ]
-        promised = bench.smooth(each.without, columns, again=False).gain
-        if promised < _PROMISING * (least - reached):
-            continue
-        left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
-        if left < reached + LEAD:
-            return known.changed(*x.tolist()), left < reached - LEAD
+            # What a little of each change would take out shows whether to look further.
+            little = [
+                _moved(bench, each.without, along(trials, prepared, arm.changed(*step)))
+                for step in (_LITTLE * _ARM_STEPS).tolist()
+            ]
+            columns = [
+                Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
+                for of in zip(*little, strict=True)
+            ]
+            promised = bench.smooth(each.without, columns, again=False).gain
+            if promised < _PROMISING * (least - reached):
+                continue
+            left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
+            if left < reached + LEAD:
+                return arm.changed(*x.tolist()), left < reached - LEAD
     return None
 
 
@@ -778,5 +789,6 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     scatter = found.after.problem.scatter
     known = scatter if scatter.size else None
     bench = Workbench(trials, known, found.before.noise.memory)
-    chosen, rounds = select(bench, bench.base(found.before), found.contenders)
+    # All trials have shown how closely to search.
+    chosen, rounds = select(bench, bench.base(found.before), found.contenders, closely=False)
     return eliminate(bench, chosen, rounds)[0]

@@ -233,6 +233,7 @@ def try_all(
     names: Sequence[str],
     *,
     most: int = _FIRST,
+    closely: bool = True,
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Trialled, ...]:
@@ -249,6 +250,8 @@ def try_all(
         The candidates.
     most : int
         How many are refitted at most: those that promise most.
+    closely : bool
+        Whether those that may come first are searched for longer.
     workers : int
         Threads.
     progress : callable, optional
@@ -283,7 +286,8 @@ def try_all(
         tried = list(pool.map(one, names))
     # What was refitted comes before what only promised something.
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
-    tried[:_CONTEST] = [_closer(bench, without, each) for each in tried[:_CONTEST]]
+    if closely:
+        tried[:_CONTEST] = [_closer(bench, without, each) for each in tried[:_CONTEST]]
     return tuple(sorted(tried, key=lambda each: (each.refit is None, -each.gain)))
 
 
@@ -441,6 +445,7 @@ def select(
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
     known: Sequence[Round] = (),
+    closely: bool = True,
 ) -> tuple[Refit, tuple[Round, ...]]:
     """
     Add effects to a model as long as one gains clearly.
@@ -459,6 +464,8 @@ def select(
         Told of each candidate.
     known : sequence of Round
         Of a selection among fewer: what was held against the same model is not tried again.
+    closely : bool
+        Whether those that may come first are searched for longer.
 
     Returns
     -------
@@ -481,6 +488,7 @@ def select(
             current,
             [name for name in open_ if all(name != each.effect for each in before)],
             most=_LATER if rounds else _FIRST,
+            closely=closely,
             workers=workers,
             progress=progress,
         )

@@ -349,7 +349,9 @@ class Servo:
     lasts : float
         How long the acceleration of a usual change of speed lasts [s].
     stops : bool
-        Whether only the stops are alike, and the others as they are.
+        Whether it makes only the stops so.
+    others : Servo or None
+        How it makes the others then, if these are alike.
 
     """
 
@@ -359,10 +361,11 @@ class Servo:
     even: bool
     lasts: float
     stops: bool = False
+    others: 'Servo | None' = None
 
-    def makes(self, corner: Corner) -> bool:
-        """Return whether a change of speed is one that it makes alike."""
-        return corner.is_stop or not self.stops
+    def of(self, corner: Corner) -> 'Servo | None':
+        """Return what makes a change of speed; None where it is not one of those made alike."""
+        return self if corner.is_stop or not self.stops else self.others
 
     def changed(self, duration: float, lag: float, jerk: float) -> 'Servo':
         """
@@ -400,7 +403,11 @@ class Servo:
 
 def told(corners: Sequence[Corner], servo: Servo) -> float:
     """Return minus twice the log likelihood of how an arm changes its speed."""
-    return sum(c.deviance(servo.shape(c.turn)) for c in corners if servo.makes(c))
+    total = 0.0
+    for corner in corners:
+        mine = servo.of(corner)
+        total += 0.0 if mine is None else corner.deviance(mine.shape(corner.turn))
+    return total
 
 
 def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
@@ -441,27 +448,38 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
     -------
     Servo or None
         None where the changes of speed differ by more than the encoders' noise, by Schwarz's
-        criterion, or there are too few. If they do but the stops do not, it makes these.
+        criterion, or there are too few. Stops and the other changes may differ, and be alike
+        among themselves, or the stops alone.
 
     """
-    found = _alike(corners, shapes)
-    stops = [k for k, corner in enumerate(corners) if corner.is_stop]
-    if found is None and len(stops) < len(corners):
-        found = _alike([corners[k] for k in stops], [shapes[k] for k in stops])
-        found = None if found is None else replace(found, stops=True)
-    return found
+    worth = math.log(max(sum(corner.t.size for corner in corners), 1))
+    whole = _alike(corners, shapes, worth)
+    parts = []
+    for stops in (True, False):
+        of = [k for k, corner in enumerate(corners) if corner.is_stop == stops]
+        parts.append(_alike([corners[k] for k in of], [shapes[k] for k in of], worth))
+    (cost, stopped), (other_cost, others) = parts
+    if stopped is None or (whole[1] is not None and whole[0] <= cost + other_cost):
+        return whole[1]
+    return replace(stopped, stops=True, others=others)
 
 
-def _alike(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:
-    """Return how an arm makes some changes of speed, if they are alike."""
+def _alike(
+    corners: Sequence[Corner], shapes: Sequence[Shape], worth: float
+) -> tuple[float, Servo | None]:
+    """
+    Return how an arm makes some changes of speed, if they are alike, and what that leaves.
+
+    Each number that says so is worth something; what is left by a shape for each is told where
+    they are not alike.
+    """
     if len(corners) < _FEWEST:
-        return None
+        return sum(c.deviance(s) for c, s in zip(corners, shapes, strict=True)), None
     # The largest changes of speed tell most, some of each kind.
     order = np.argsort([-abs(corner.turn) / corner.noise for corner in corners])
     chosen = order[np.unique(np.linspace(0, order.size - 1, _MOST).round().astype(int))]
     corners = [corners[k] for k in chosen.tolist()]
     shapes = [shapes[k] for k in chosen.tolist()]
-    worth = math.log(sum(corner.t.size for corner in corners))
     alone = sum(c.deviance(s) + 2.0 * worth for c, s in zip(corners, shapes, strict=True))
     lasts = np.array([shape.duration for shape in shapes])
     turns = np.abs([corner.turn for corner in corners])
@@ -479,4 +497,4 @@ def _alike(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:
             left, best = minimum(cost, start, np.array([0.3, 0.3, 0.4])[:size])
             found.append((left + size * worth, _servo(best, even, usual, scale)))
     least = min(found, key=lambda each: each[0], default=None)
-    return None if least is None or least[0] > alone else least[1]
+    return (alone, None) if least is None or least[0] > alone else least

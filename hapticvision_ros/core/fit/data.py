@@ -56,6 +56,8 @@ _LOOKS: Final = 0.25
 """Parts of such steps, over the shorter interval."""
 _MOST_LOOKS: Final = 400
 """Looks at an event."""
+_ASTRAY: Final = 12.0
+"""What a height is beyond both its neighbours by, over the noise, from which on it is a glitch."""
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
@@ -603,7 +605,7 @@ def _prepare(
     if height is not None:
         record = height.between(edges[0], edges[-1])
         if len(record) >= 2:
-            good = ~suspects(record.value)
+            good = ~(suspects(record.value) | _astray(record, phases))
             height_t, heights = record.t[good], record.value[good]
             height_interval = float(np.median(np.diff(record.t)))
     raw = FitTrial(
@@ -848,6 +850,27 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     for first, last in runs(found):
         none[first:last] = last - first <= _LONGEST_GLITCH
     return none
+
+
+def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
+    """
+    Return which heights are beyond both of their neighbours, far from where the tool turns.
+
+    A surface that is pushed down goes on steadily: beside its way such a one is no part of it.
+    """
+    t, value = height.t, height.value
+    astray = np.zeros(value.size, dtype=np.bool_)
+    if value.size < 8:
+        return astray
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(value, 2)))) / math.sqrt(6.0)
+    before, here, after = value[:-2], value[1:-1], value[2:]
+    beyond = np.maximum(here - np.maximum(before, after), np.minimum(before, after) - here)
+    astray[1:-1] = (noise > 0.0) & (beyond > _ASTRAY * noise)
+    reach = 2.0 * float(np.median(np.diff(t)))
+    for event in (phases.t_hold, phases.t_release, phases.t_loss):
+        if event is not None:
+            astray &= np.abs(t - event) > reach
+    return astray
 
 
 def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray[np.bool_]:
@@ -1142,8 +1165,10 @@ def _bend(
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
     enough = _FOLLOWS**2 * corner.t.size * noise**2
-    if servo is not None and not servo.makes(corner):
-        return None
+    if servo is not None:
+        servo = servo.of(corner)
+        if servo is None:
+            return None
     if servo is None:
         shape, shift = _shape_of(corner, 4.0 * margin, enough)
     else:

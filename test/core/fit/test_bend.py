@@ -139,7 +139,8 @@ def test_stops_may_be_alike_where_withdrawals_are_not() -> None:
     trials = _campaign([SHAPE] * 4, 5e-6, released)
     servo, corners = arm_of(trials)
     assert servo is not None and servo.stops
-    assert [servo.makes(corner) for corner in corners].count(True) == len(trials)
+    assert servo.others is None
+    assert [servo.of(corner) for corner in corners].count(servo) == len(trials)
     made, _ = prepare(trials)
     off = [
         _off(trial.path, phases, speed)
@@ -148,3 +149,13 @@ def test_stops_may_be_alike_where_withdrawals_are_not() -> None:
     ]
     assert len(off) == len(trials)
     assert max(off) < 0.02
+
+
+def test_stops_and_withdrawals_may_each_be_alike() -> None:
+    trials = _campaign([SHAPE] * 4, 5e-6, [Shape(0.3, 0.02)] * 4)
+    servo, corners = arm_of(trials)
+    assert servo is not None and servo.others is not None
+    assert servo.others.shape(0.02).duration == pytest.approx(0.3, rel=0.05)
+    stop = servo.shape(-SPEEDS[0])
+    assert stop.duration + 2.0 * stop.lag == pytest.approx(0.11, rel=0.3)
+    assert {servo.of(corner) for corner in corners} == {servo, servo.others}
