@@ -62,6 +62,8 @@ import numpy as np
 
 _FACTORS: Final = (1.0, 0.1, 0.01, 1e-3, 10.0)
 """Strengths, over the first guess, that a search starts from."""
+_CLOSE_BY: Final = 16
+"""Starts of an effect that are enough of themselves."""
 _BEST: Final = 2
 """Starts that are followed."""
 _LOOKS: Final = 6
@@ -486,8 +488,9 @@ class Workbench:
             ]
         )
         scans = list(product(*(model.parameters[k].scan for k in new)))
+        factors = _FACTORS if signless and len(scans) < _CLOSE_BY else _FACTORS[:1]
         states = []
-        for factor, scan in product(_FACTORS if signless else _FACTORS[:1], scans):
+        for factor, scan in product(factors, scans):
             values = model.values(begin[: problem.p])
             # A power of one, as of a dashpot, is what it differs from.
             strength = np.where(stiff, 1.0 / factor, factor)

@@ -40,6 +40,7 @@ from hapticvision_ros.core.diagnosis.records import (
 from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
+    BLUNT,
     drawn_out,
     eliminate,
     GATE,
@@ -286,7 +287,8 @@ def _otherwise(
                 found = moved.base(smaller)
                 return found.deviance + paid + told(corners, tried) - start
 
-            # What a little of each change would take out shows whether to look further.
+            # What a little of each change would take out shows whether to look further, where
+            # jumps are not taken to come at any moment.
             little = [
                 _moved(bench, each.without, along(trials, prepared, arm.changed(*step)))
                 for step in (_LITTLE * _ARM_STEPS).tolist()
@@ -296,7 +298,7 @@ def _otherwise(
                 for of in zip(*little, strict=True)
             ]
             promised = bench.smooth(each.without, columns, again=False).gain
-            if promised < _PROMISING * (least - reached):
+            if promised < _PROMISING * (least - reached) and each.without.blur.later < BLUNT:
                 continue
             left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
             if left < reached + LEAD:

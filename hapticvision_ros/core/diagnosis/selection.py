@@ -68,9 +68,11 @@ _BRIEF: Final = 3.0
 _BRIEF_NEAR: Final = 0.98
 """Part of the gain of what is over within so many samples from which on another is like it: how
 the tool went within a sample is not known."""
-_BLUNT: Final = 1.0
+_KNOWN: Final = 0.15
+"""Samples to which the moments of jumps are known, below which that is no matter."""
+BLUNT: Final = 1.0
 """Samples to which moments are known, above which a search is made as if they were known."""
-_SIZES: Final = np.geomspace(0.7, 1.6, 12)
+_SIZES: Final = np.geomspace(0.7, 1.6, 24)
 """Sizes over a known one that are looked at where a search does not find its way."""
 CERTAIN: Final = 40.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
@@ -188,6 +190,11 @@ def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
     return _samples(bench, refit, effect) < 1.0
 
 
+def _is_quick(effect: str) -> bool:
+    """Return whether an effect is one that draws jumps of the force out."""
+    return BY_NAME[effect].time_constant is not None
+
+
 def _samples(bench: Workbench, refit: Refit, effect: str) -> float:
     """Return over how many samples an effect draws jumps out; infinite if that is not its kind."""
     time_constant = BY_NAME[effect].time_constant
@@ -209,6 +216,15 @@ def _shown(trial: FitTrial) -> bool:
         for bend in trial.path.bends
         if bend.t > trial.t_contact
         and (trial.t_release is None or bend.t + 0.5 * bend.shape.duration < trial.t_release)
+    )
+
+
+def _withdrawal_shown(trial: FitTrial) -> bool:
+    """Return whether the encoders show how the arm gathers speed for the withdrawal of a trial."""
+    return any(
+        bend.start < trial.t_release < bend.stop or abs(bend.start - trial.t_release) < bend.lasts
+        for bend in trial.path.bends
+        if trial.t_release is not None and bend.lasts > _RESOLVED * trial.path.interval
     )
 
 
@@ -267,13 +283,13 @@ def try_all(
     def look(name: str) -> float:
         return bench.promise(Model((*without.model.effects, name)), without)
 
-    def one(name: str) -> Trialled:
+    def one(name: str, *, promising: bool = False) -> Trialled:
         if progress is not None:
             progress(name)
         model = Model((*without.model.effects, name))
         worth = price(bench, name)
         promised = promises[name]
-        if promised < worth / 3.0 or promised < least:
+        if not promising and (promised < worth / 3.0 or promised < least):
             return Trialled(name, max(promised, 0.0), max(promised, 0.0) - worth, 0.0, None)
         refit = bench.refit(model, without)
         if refit is None:
@@ -284,6 +300,12 @@ def try_all(
         promises = dict(zip(names, pool.map(look, names), strict=True))
         least = sorted(promises.values(), reverse=True)[:most][-1] if names else 0.0
         tried = list(pool.map(one, names))
+        best = max(tried, key=lambda each: (each.refit is not None, each.gain), default=None)
+        if best is not None and best.gain > GATE and _is_quick(best.effect):
+            # Jumps of moments that are not known promise nothing to some that draw them out.
+            missed = [each for each in tried if each.refit is None and _is_quick(each.effect)]
+            again = {each.effect: one(each.effect, promising=True) for each in missed}
+            tried = [again.get(each.effect, each) for each in tried]
     # What was refitted comes before what only promised something.
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
     if closely:
@@ -296,7 +318,8 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     if found.refit is None or found.gain < GATE:
         return found
     known = near = found.refit
-    if any(len(p.scan) > _ROUGH for p in BY_NAME[found.effect].parameters):
+    rough = any(len(p.scan) > _ROUGH for p in BY_NAME[found.effect].parameters)
+    if rough:
         # Looked for anew where the noise is known better.
         near = replace(
             without,
@@ -306,7 +329,7 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
             jumps=known.jumps,
         )
     starts = [near]
-    if max(known.blur) > _BLUNT:
+    if rough or max(known.blur) > BLUNT:
         starts += _sharper(known, found.effect)
     best = found.refit
     for start in starts:
@@ -418,7 +441,7 @@ def _unseen(bench: Workbench, refit: Refit, shown: Sequence[bool]) -> tuple[floa
         parts = np.zeros(told.size)
         parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
         parts[told] -= 2.0 * np.log(white.weight[told])
-        if trial.t_release is not None:
+        if trial.t_release is not None and not _withdrawal_shown(trial):
             stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
             first = trial.t_release - _BESIDE * trial.interval
             last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
@@ -534,7 +557,9 @@ def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
     assert leader.refit is not None
     if _samples(bench, leader.refit, leader.effect) >= _BRIEF:
         return [each for each in good if each.gain > leader.gain - LEAD]
-    enough = min(leader.gain - LEAD, _BRIEF_NEAR * leader.gain)
+    enough = leader.gain - LEAD
+    if leader.refit.blur.later > _KNOWN:
+        enough = min(enough, _BRIEF_NEAR * leader.gain)
     # Nor does it count between them how the arm moved unseen.
     seen = _seen(leader) - LEAD
     return [each for each in good if each.gain > enough or _seen(each) > seen]

@@ -16,9 +16,14 @@
 
 from collections.abc import Sequence
 import math
+from typing import Final
 
 from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
 from hapticvision_ros.core.models.chain import Slot
+import numpy as np
+
+_PULLS: Final = tuple(np.geomspace(0.1, 3.3, 32).tolist())
+"""Pull-off forces that are tried, over the pull that is seen."""
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
@@ -42,7 +47,7 @@ EFFECT = Effect(
             lambda scale: max(scale.pull, 0.02 * scale.force),
             # Samples average the pull with what comes after it, noise makes it look larger, and
             # the force jumps past many values: between these a search does not find its way.
-            scan=(0.8, 0.9, 1.0, 1.1, 1.25, 1.6, 2.3, 3.3),
+            scan=_PULLS,
         ),
     ),
     validity='A pull-off force that depends neither on the speed nor on the time in contact.',

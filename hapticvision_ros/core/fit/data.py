@@ -997,10 +997,11 @@ def _path(
     events = [time for time in times if time is not None]
     # A tool that has a mass is felt in the air as well where it changes its speed.
     first, last = 0, t.size
-    found = _closely(t, value, events, noise, servo)
+    touch = -math.inf if phases.t_contact is None else phases.t_contact
+    found = _closely(t, value, events, noise, servo, touch)
     if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
         first, last = near
-        found = _closely(t[first:last], value[first:last], events, noise, servo)
+        found = _closely(t[first:last], value[first:last], events, noise, servo, touch)
     if found is None:
         found = t[first:last], value[first:last], []
     knots, levels, turns = found
@@ -1015,7 +1016,14 @@ def _path(
         float(np.quantile(np.diff(t), _DENSE)),
         servo,
     )
-    return path, [turn for turn in turns if t[near[0]] < turn.bend.t < t[near[1] - 1]]
+    # On its way there and back the tool may be commanded otherwise than on the object.
+    end = phases.t_end if phases.t_loss is None else phases.t_loss
+    return path, [
+        turn
+        for turn in turns
+        # A quick withdrawal is off the object at once.
+        if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
+    ]
 
 
 def _above(start: float, stop: float, knots: FloatArray) -> int:
@@ -1029,6 +1037,7 @@ def _closely(
     events: Sequence[float],
     noise: float,
     servo: Servo | None,
+    touch: float,
 ) -> tuple[FloatArray, FloatArray, list[_Turned]] | None:
     """Return a path that follows the samples; None where it takes too many corners."""
     if noise <= 1e-7 * float(np.ptp(value)) or t.size < 16:
@@ -1040,7 +1049,7 @@ def _closely(
     if knots.size > _MOST_PIECES:
         return None
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
-    return _bent(t, value, knots, levels, noise, coarse, servo)
+    return _bent(t, value, knots, levels, noise, coarse, servo, touch)
 
 
 def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -1065,13 +1074,14 @@ def _bent(
     noise: float,
     coarse: float,
     servo: Servo | None,
+    touch: float,
 ) -> tuple[FloatArray, FloatArray, list[_Turned]]:
     """
     Return the path with corners in place of the short pieces over which the tool changes speed.
 
     An arm takes some time to change its speed. Two straight pieces and an acceleration between
     them take the place of the corners there if they follow the samples as well, but for `coarse`,
-    by which the encoders round.
+    by which the encoders round. The arm is known to do it as `servo` from the touch on.
     """
     step = float(np.median(np.diff(t)))
     groups: list[list[int]] = []
@@ -1087,9 +1097,10 @@ def _bent(
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
+        mine = servo if servo is not None and around[1] > touch else None
         tried = (
             _bend(t, value, around, step, noise, coarse, edge, known)
-            for known in ((servo, None) if servo is not None else (None,))
+            for known in ((mine, None) if mine is not None else (None,))
             for edge in _EDGE_SAMPLES
         )
         found = next(filter(None, tried), None)

@@ -26,15 +26,18 @@ from hapticvision_ros.core.diagnosis.selection import (
     _sharper,
     _shown,
     _unseen,
+    _withdrawal_shown,
     drawn_out,
     fleeting,
     seldom,
     select,
     strength,
     Trialled,
+    try_all,
 )
-from hapticvision_ros.core.fit.bend import Shape
+from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.campaign import Blur, SHARPEST
+from hapticvision_ros.sim.campaigns import ForceNoise
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
 import pytest
@@ -127,19 +130,21 @@ def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> 
     bench, base = world.measure(
         world.campaign(world.four[:2]), Undeclared('adhesion', (1.5,)), seed=1
     ).bench()
-    right = bench.refit(Model(('adhesion',)), base)
+    (found,) = try_all(bench, base, ['adhesion'])
+    right = found.refit
     place = right.model.names.index('F_ad')
     values = right.model.values(right.theta)
     best = float(values[place])
-    assert best == pytest.approx(1.5, rel=0.1)
+    # At 200 Hz the pull changes by a fifth from one sample to the next.
+    assert best == pytest.approx(1.5, rel=0.2)
     values[place] = best / 1.5
     state = right.state.copy()
     state[: values.size] = right.model.theta(values)
     sharp, near = _sharper(replace(right, state=state, blur=Blur(0.1, 2.0)), 'adhesion')
     assert sharp.blur == near.blur == SHARPEST
     assert np.array_equal(sharp.state, state)
-    # The sizes that are looked at are 8 % apart.
-    assert near.model.values(near.theta)[place] == pytest.approx(best, rel=0.09)
+    # The sizes that are looked at are 4 % apart.
+    assert near.model.values(near.theta)[place] == pytest.approx(best, rel=0.05)
 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
@@ -152,13 +157,21 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
         for t in bench.trials
     ]
     shown = [_shown(trial) for trial in alone]
-    release, stop = _unseen(bench, base, shown)
+    # Nor is it seen how it gathers speed for the withdrawal.
+    hidden = [
+        replace(
+            t,
+            path=replace(t.path, bends=tuple(b for b in t.path.bends if b.t < t.t_release)),
+        )
+        for t in bench.trials
+    ]
+    release, stop = _unseen(Workbench(hidden, None, bench.memory), base, shown)
     # The encoders show the stop of the quick push, and not that of the slow one.
     assert sum(shown) == 1
     assert release != 0.0 and stop != 0.0
     ends = [replace(trial.path.bends[-1], shape=Shape(1e6)) for trial in bench.trials]
     late = [
-        replace(trial, t_release=trial.t[0], path=replace(trial.path, bends=(end,)))
+        replace(trial, t_release=trial.t[0], path=replace(trial.path, bends=(end,), interval=1e7))
         for trial, end in zip(bench.trials, ends, strict=True)
     ]
     # A release that lasts for the whole trial tells all of what the force tells.
@@ -188,19 +201,22 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     refit = bench.refit(Model(('force_lag',)), base)
     place = refit.model.names.index('T_f')
 
-    def near(samples: float, *others: tuple[float, float]) -> int:
+    def near(samples: float, *others: tuple[float, float], blur: float = 1.0) -> int:
         """Return how many of some gains, with what is not seen of each, are near one of 1000."""
         values = refit.model.values(refit.theta)
         values[place] = samples * 0.002
         state = refit.state.copy()
         state[: values.size] = refit.model.theta(values)
-        leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, replace(refit, state=state), 0.0, 50.0)
+        there = replace(refit, state=state, blur=Blur(blur, blur))
+        leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, there, 0.0, 50.0)
         rest = [Trialled('friction', 0.0, gain, 1.0, refit, stop=stop) for gain, stop in others]
         return len(_near(bench, [leader, *rest])) - 1
 
     # By 2 % of the gain, or by the usual lead.
     assert near(0.5, (981.0, 50.0), (979.0, 50.0)) == 1
     assert near(10.0, (991.0, 50.0), (989.0, 50.0)) == 1
+    # Where the moments of jumps are known, how the tool goes within a sample is known as well.
+    assert near(0.5, (991.0, 50.0), (989.0, 50.0), blur=0.1) == 1
     # What leads only by how the arm moved unseen does not lead.
     assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
     assert near(10.0, (960.0, 10.0)) == 0
@@ -222,3 +238,52 @@ def test_a_misplaced_touch_is_no_size_of_what_a_model_lacks(world: Any) -> None:
     other[longer.model.names.index('K1')] += 0.02
     away = replace(longer, state=other)
     assert strength(bench, away, longer, calm=True) > 0.9 * strength(bench, away, longer)
+
+
+def test_a_pull_that_comes_slowly_is_found_at_whatever_noise_makes_it_look_like(
+    world: Any,
+) -> None:
+    """Noise that remembers makes the pull look larger than that at which the object lets go."""
+    campaign = world.campaign(rate=500.0)
+    campaign = replace(
+        campaign,
+        pushes=tuple(replace(push, release_speed=0.001) for push in campaign.pushes),
+        sensors=replace(campaign.sensors, force_noise=ForceNoise(0.0, 0.09, 0.03)),
+    )
+    bench, base = world.measure(campaign, Undeclared('adhesion', (0.4,)), seed=22).bench()
+    assert bench.scale(base, *base.model.values(base.theta)[:3]).pull > 0.45
+    (found,) = try_all(bench, base, ['adhesion'])
+    assert found.refit is not None
+    assert found.gain > 150.0
+    assert found.refit.model.values(found.refit.theta)[3] == pytest.approx(0.4, rel=0.1)
+
+
+def test_what_draws_jumps_out_as_the_leader_does_is_tried_though_it_promises_nothing(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = world.measure(world.campaign(), Undeclared('series_spring', (20_000.0,)), seed=24)
+    bench, base = measured.bench()
+    promise = bench.promise
+
+    def little(model: Model, near: Any) -> float:
+        return 0.0 if 'machine_compliance' in model.effects else float(promise(model, near))
+
+    monkeypatch.setattr(bench, 'promise', little)
+    tried = try_all(bench, base, ['series_spring', 'machine_compliance', 'springpot'])
+    gains = {each.effect: each.gain for each in tried if each.refit is not None}
+    assert gains['series_spring'] > 100.0
+    assert gains['machine_compliance'] > 0.5 * gains['series_spring']
+
+
+def test_a_withdrawal_that_the_encoders_follow_tells_what_acts_in_it(world: Any) -> None:
+    bench, base = world.measure(world.campaign(), seed=25).bench()
+    trial = bench.trials[0]
+    slow = Bend(trial.t_release + 0.05, -0.02, Shape(0.1))
+    quick = Bend(trial.t_release + 0.005, -0.02, Shape(0.01))
+    other = Bend(trial.t_contact, 0.02, Shape(0.1))
+    for bends, shown in (((), False), ((quick, other), False), ((slow, other), True)):
+        told = replace(trial, path=replace(trial.path, bends=bends))
+        assert _withdrawal_shown(told) == shown
+    # Nothing of a release that is shown is left out of what counts.
+    bench = Workbench([replace(trial, path=replace(trial.path, bends=(slow,)))], None)
+    assert _unseen(bench, base, [True])[0] == 0.0

@@ -73,9 +73,7 @@ def _campaign(
     sensors = Sensors(ForceNoise(0.01), 1e-5)
     made = []
     trials = run(Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors), seed=3).trials
-    for trial, speed, shape, other in zip(
-        trials, SPEEDS, shapes, released or shapes, strict=True
-    ):
+    for trial, speed, shape, other in zip(trials, SPEEDS, shapes, released or shapes, strict=True):
         phases = segment(trial.force, trial.tool_height, trial.displacement_height)
         t = np.arange(0.0, trial.tool_height.t[-1], 0.008)
         since = t - phases.t_contact + 0.001 / speed

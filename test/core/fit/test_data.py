@@ -24,6 +24,7 @@ from hapticvision_ros.core.fit.data import (
     tool_path,
     ToolPath,
 )
+from hapticvision_ros.core.models.motion import acceleration
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 import pytest
@@ -493,3 +494,49 @@ def test_a_path_through_the_samples_of_the_encoders_splits_no_step() -> None:
     (made,), _ = prepare([(wavy, PHASES)])
     assert made.path.t.size > 1000
     assert made.turns is None
+
+
+def test_samples_that_come_unevenly_and_say_so_are_no_noise_of_the_encoders() -> None:
+    """A twentieth of an interval to and fro, a micrometre at 10 mm/s and more, on one line."""
+    random = np.random.default_rng(6)
+    t = np.arange(0.0, 20.0, 0.02) + 1e-3 * random.standard_normal(1000)
+    fine = np.array([0.0, 0.9, 1.0, 3.0, 13.0, 15.0, 20.0])
+    way = np.array([-0.01, -0.001, 0.0, 0.02, 0.02, -0.02, -0.12])
+    read = np.interp(t, fine, way) + 5e-7 * random.standard_normal(t.size)
+    assert tool_path(Signal(t, read), PHASES).noise == pytest.approx(5e-7, rel=0.2)
+
+
+def test_a_change_of_speed_in_the_air_is_followed() -> None:
+    """The force of the tool's own mass is there as well; at rest and in motion there is none."""
+    fine = np.arange(0.0, 20.0, 1e-4)
+    times = [0.3, 0.42, 2.94, 3.06, 12.94, 13.06, 13.5, 13.62]
+    speeds = [0.0, 0.003, 0.003, 0.0, 0.0, -0.02, -0.02, 0.0]
+    speed = np.interp(fine, times, speeds)
+    way = np.concatenate(([0.0], np.cumsum(0.5e-4 * (speed[1:] + speed[:-1]))))
+    way -= np.interp(1.0, fine, way)
+    t = np.arange(0.001, 19.9, 0.01)
+    noise = 1e-6 * np.random.default_rng(7).standard_normal(t.size)
+    path = tool_path(Signal(t, np.interp(t, fine, way) + noise), PHASES)
+    steps = np.arange(0.0, 19.0, 0.005)
+    found = acceleration(steps, path.at(steps))
+    expected = acceleration(steps, np.interp(steps, fine, way))
+    assert np.abs(expected).max() > 0.02
+    # A step that a change of speed begins or ends in is off by a part of it.
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2))
+
+
+@pytest.mark.parametrize('at', [1.4, 2.0, 8.0])
+def test_a_height_beyond_both_of_its_neighbours_is_left_out(at: float) -> None:
+    """On the way down too, where heights are far from each other."""
+    whole = _trial()
+    height = whole.displacement_height
+    index = int(np.searchsorted(height.t, at))
+    value = height.value.copy()
+    value[index] -= 0.003
+    astray = replace(whole, displacement_height=Signal(height.t, value))
+    (made,), _ = prepare([(astray, PHASES)])
+    (clean,), _ = prepare([(whole, PHASES)])
+    assert made is not None and clean is not None
+    assert clean.height_count.sum() == len(height)
+    assert made.height_count.sum() == len(height) - 1
+    assert np.abs(made.height - np.interp(made.height_t, height.t, height.value)).max() < 1e-4
