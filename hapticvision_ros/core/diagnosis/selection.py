@@ -444,7 +444,9 @@ def _unseen(bench: Workbench, refit: Refit, shown: Sequence[bool]) -> tuple[floa
         if trial.t_release is not None and not _withdrawal_shown(trial):
             stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
             first = trial.t_release - _BESIDE * trial.interval
-            last = max([trial.t_release, *stops[:1]]) + _BESIDE * trial.interval
+            # It may be seen as several changes of speed, or as none.
+            least = trial.t_release + _RESOLVED * trial.path.interval
+            last = max([least, *stops[:1]]) + _BESIDE * trial.interval
             release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
         if not shown[index]:
             stop += float(parts[_about(trial, trial.t_stop)].sum())

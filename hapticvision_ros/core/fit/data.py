@@ -33,6 +33,7 @@ from typing import Final, NamedTuple
 from hapticvision_ros.core.fit.bend import Bend, Corner, ROUNDED, Servo, servo_of, Shape
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
+from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs
@@ -1224,6 +1225,7 @@ def _known_shape(
 ) -> tuple[Shape, float]:
     """Return what `_shape_of` does of a corner's bytes and its further fields."""
     corner = Corner(np.frombuffer(t).copy(), np.frombuffer(value).copy(), *others)
+    found: list[tuple[float, Shape, float]] = []
     for soft in _SOFT:
         shape, left = _best_shape(corner._replace(rest=-1), 0.0, longest, soft)
         shift = 0.0
@@ -1235,9 +1237,27 @@ def _known_shape(
             ]
             shift = corner.likely(np.array(squares))
             shape, left = _best_shape(corner, shift, longest, soft)
+        found.append((left, shape, shift))
         if left <= enough:
-            break
-    return shape, shift
+            return shape, shift
+    _, shape, shift = min(found)
+    return _between(corner, shape, shift, longest), shift
+
+
+def _between(corner: Corner, near: Shape, shift: float, longest: float) -> Shape:
+    """Return the best shape near one of those that are tried, whatever its parts."""
+    scale = max(near.duration, near.lag, 1e-6)
+
+    def shape(x: FloatArray) -> Shape:
+        duration = min(max(float(x[0]) * scale, 1e-9), longest)
+        soft = min(max(float(x[2]), 0.0), 1.0)
+        return Shape(duration, soft * duration, min(max(float(x[1]), 0.0) * scale, longest))
+
+    def cost(x: FloatArray) -> float:
+        return corner.left(shape(x), shift) / corner.noise**2
+
+    start = np.array([near.duration / scale, near.lag / scale, near.soft])
+    return shape(minimum(cost, start, np.array([0.1, 0.1, 0.3]))[1])
 
 
 def _best_shape(
