@@ -37,6 +37,7 @@ from hapticvision_ros.core.fit.noise_model import (
     Record,
     SensorNoise,
 )
+from hapticvision_ros.core.outliers import runs
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,11 @@ Residual in contact, away from changes of speed, over the noise, that slow noise
 
 At these the tool's own way may be off for a moment, which a fit takes for slow noise as well.
 """
+_OUTLYING: Final = 6.0
+"""Residual over the noise from which on a sample that was set aside is still astray."""
+_FEWEST_BURSTS: Final = 6
+_CHANCE: Final = 1e-6
+"""Bursts in one phase, and the probability of so many there, if they came at any time."""
 _COARSE: Final = 0.3
 """Rounding over the noise without contact, above which the latter may be hidden by it."""
 
@@ -115,6 +121,95 @@ class Excess:
                 else 'in no smooth form'
             )
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Bursts:
+    """
+    Bursts of the force that come in one phase, as glitches of a load cell do not.
+
+    Parameters
+    ----------
+    phase : {'push', 'hold'}
+        Where.
+    count, total : int
+        How many come there, and at all.
+    rms : float
+        Root mean square of the samples that stand out there [N].
+    share : float
+        Their squares over those of the noise of all samples.
+
+    """
+
+    phase: Literal['push', 'hold']
+    count: int
+    total: int
+    rms: float
+    share: float
+
+    def __str__(self) -> str:
+        """Return what was found as a sentence."""
+        return (
+            f'force, {self.phase}: {self.count} of {self.total} bursts of a few samples, '
+            f'{self.rms:.3g} N rms, come there, which glitches of a load cell would not'
+        )
+
+
+def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:
+    """
+    Return the bursts that samples which were set aside make of one phase.
+
+    Parameters
+    ----------
+    found : Refit
+        The model.
+    phases : sequence of Segmentation
+        Of its trials.
+
+    Returns
+    -------
+    Bursts or None
+        None where such samples are few, or come at any time.
+
+    """
+    from scipy.special import bdtrc
+
+    parts: dict[Literal['push', 'hold'], list[tuple[int, int, float]]] = {'push': [], 'hold': []}
+    total = count = 0
+    problem, noise = found.problem, found.force_noise.std
+    for index, (trial, phase) in enumerate(zip(problem.trials, phases, strict=True)):
+        full = trial.full_rate
+        predicted = problem.predict(found.state, index, full, directions=False).force
+        residual = full.force - predicted - problem.own(found.state, index)[1]
+        taken = np.ones(full.middle.size, dtype=np.bool_)
+        if full.samples.missing is not None:
+            taken = ~full.samples.missing
+        astray = taken & ~full.samples.good & (np.abs(residual) > _OUTLYING * noise)
+        starts = np.array([first for first, _ in runs(astray)], dtype=np.intp)
+        total += starts.size
+        count += int(np.count_nonzero(taken))
+        stop = trial.t_stop if phase.t_hold is None else phase.t_hold
+        end = float(trial.t[-1]) if trial.t_release is None else trial.t_release
+        bounds: dict[Literal['push', 'hold'], tuple[float, float]] = {
+            'push': (trial.t_contact, stop),
+            'hold': (stop, end),
+        }
+        for name, (first, last) in bounds.items():
+            inside = taken & (full.middle > first) & (full.middle < last)
+            squares = float(np.sum(residual[astray & inside] ** 2))
+            parts[name].append(
+                (int(np.count_nonzero(inside[starts])), int(np.count_nonzero(inside)), squares)
+            )
+    best: Bursts | None = None
+    for name, each in parts.items():
+        there, samples = sum(one[0] for one in each), sum(one[1] for one in each)
+        if there < _FEWEST_BURSTS or bdtrc(there - 1, total, samples / count) > _CHANCE:
+            continue
+        squares = sum(one[2] for one in each)
+        made = Bursts(name, there, total, math.sqrt(squares / there), squares / (count * noise**2))
+        if best is None or made.count > best.count:
+            best = made
+    return best
 
 
 def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
@@ -271,7 +366,9 @@ def _held(
     quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
     if quiet.size < _FEWEST or not known:
         return None
-    noise = max(math.hypot(math.sqrt(float(np.mean(quiet**2))), coarse), least)
+    told = math.sqrt(float(np.mean(quiet**2)))
+    # What goes to and fro between readings has its rounding in it already.
+    noise = max(told if told > coarse else math.hypot(told, coarse), least)
     # A standard deviation is known to one over the root of twice the samples.
     unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
     ratios = []

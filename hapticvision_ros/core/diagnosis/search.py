@@ -28,7 +28,7 @@ from typing import Final
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
-from hapticvision_ros.core.diagnosis.excess import Excess, louder
+from hapticvision_ros.core.diagnosis.excess import Bursts, bursts, Excess, louder
 from hapticvision_ros.core.diagnosis.likeness import change, left_out, pairs, Tangent, visible
 from hapticvision_ros.core.diagnosis.records import (
     Candidate,
@@ -448,6 +448,11 @@ class _Search:
                 # What is left has no smooth form, and has passed for noise.
                 status = 'partly_explained' if order else 'unexplained'
                 unexplained = self._loud(bench, base, chosen, loud)
+            struck = bursts(chosen, self.phases)
+            if struck is not None:
+                # Or stands out so much that it has passed for glitches.
+                status = 'partly_explained' if order else 'unexplained'
+                unexplained = self._struck(bench, base, chosen, struck, unexplained)
         if unrepeated is not None and (order or unrepeated >= _TOO_MUCH):
             # An effect of no library may hide in what stands in for scatter.
             status = 'partly_explained' if order else 'unexplained'
@@ -698,6 +703,21 @@ class _Search:
             share_of_chi2=left / (left + taken**2) if left > 0.0 else 0.0,
             where=tuple(map(str, loud)),
         )
+
+    def _struck(
+        self,
+        bench: Workbench,
+        base: Refit,
+        chosen: Refit,
+        struck: Bursts,
+        other: Unexplained | None,
+    ) -> Unexplained:
+        """Return what is left where it comes in bursts."""
+        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        known = 0.0 if other is None else other.share_of_chi2
+        where = () if other is None else other.where
+        share = struck.share / (struck.share + taken**2) if struck.share > 0.0 else 0.0
+        return Unexplained(share_of_chi2=max(share, known), where=(str(struck), *where))
 
     def _differing(
         self, bench: Workbench, plain: Workbench, base: Refit, chosen: Refit, size: float

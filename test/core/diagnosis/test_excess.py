@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.excess import Excess, louder
+from hapticvision_ros.core.diagnosis.excess import bursts, Excess, louder
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
 from hapticvision_ros.sim.specimen import Undeclared
@@ -113,3 +113,36 @@ def test_a_range_sensor_whose_noise_is_slow_everywhere_is_heard_as_such(heard: A
         return replace(trial, displacement_height=Signal(seen.t, seen.value + noise))
 
     assert heard(change=slow) == ()
+
+
+def _struck(world: Any, start: float, stop: float) -> Any:
+    """Return the bursts of a campaign whose force is struck in a part of each record."""
+
+    def strike(trial: Trial) -> Trial:
+        t, value = trial.force.t, trial.force.value.copy()
+        random = np.random.default_rng(len(trial.name))
+        for at in np.linspace(start, stop, 10) + 0.01 * random.uniform(size=10):
+            value[np.searchsorted(t, at)] += 2.0
+        return replace(trial, force=Signal(t, value))
+
+    measured = world.measure(world.campaign(((0.001, 0.003),) * 4), seed=1, change=strike)
+    _, base = measured.bench()
+    assert sum(trial.set_aside.size for trial in base.problem.trials) > 30
+    return bursts(base, measured.phases), measured.phases
+
+
+def test_what_strikes_in_the_push_alone_is_no_glitch_of_the_load_cell(world: Any) -> None:
+    """An object that slips again and again stands out of the noise as glitches do."""
+    touch = world.measure(world.campaign(((0.001, 0.003),) * 4), seed=1).phases[0].t_contact
+    found, _ = _struck(world, touch + 0.5, touch + 2.5)
+    assert found is not None
+    assert found.phase == 'push'
+    assert found.count == found.total
+    assert found.rms == pytest.approx(2.0, rel=0.05)
+    assert 'which glitches of a load cell would not' in str(found)
+
+
+def test_what_strikes_at_any_time_is_glitches(world: Any) -> None:
+    found, phases = _struck(world, 0.2, 9.0)
+    assert phases[0].t_end > 9.0
+    assert found is None
