@@ -130,6 +130,9 @@ Gain in likelihood from which on a zero goes alike in all trials and does not wa
 
 By chance four curves gain so much in one campaign of three hundred.
 """
+_ACCELERATION: Final = 4
+_FELT: Final = 100.0
+"""Which of the curves is the tool's acceleration, and the gain from which on its mass is felt."""
 _SLIDES: Final = 1e-5
 """Speed above which a tool slides, and friction shows [m/s]."""
 _NEW: Final = 1e-3
@@ -1241,16 +1244,26 @@ def longest_memory(trials: Sequence[FitTrial]) -> Memory:
     # A zero that goes alike in all trials, with the time, the way or the speed of the tool, is an
     # effect and does not wander. Few trials whose zeros wander may seem to go alike: it must be
     # the better account of both.
-    going = _air(parts, _new_rows(parts))
-    found = _zero(going, memory, _even(spread, interval), interval)
+    guess = _even(spread, interval)
+    rows = _new_rows(parts)
+    going = _air(parts, [row for row in rows if row != _ACCELERATION])
+    if _ACCELERATION in rows:
+        # Few samples tell of a mass of the tool: it must be felt.
+        felt = _air(parts, rows)
+        if _likelihood(going, guess) - _likelihood(felt, guess) > _FELT:
+            going = felt
+    found = _zero(going, memory, guess, interval)
     if found is None:
         return memory
     still = _air(parts, ())
-    likelihood = found.deviance - _told(going, found.noise)
-    if deviance(still, found.noise) - likelihood > _DRIFTS:
-        other = _zero(still, memory, _even(spread, interval), interval)
-        if other is not None and other.deviance - likelihood < _DRIFTS:
-            return other.memory
+    likelihood = _likelihood(going, found.noise)
+    other = _zero(still, memory, guess, interval)
+    # Where noise alone would do as well, each curve gains one by chance.
+    least = _DRIFTS
+    if deviance(still, found.noise) - likelihood < _DRIFTS:
+        least = float(going[0].shared.shape[0])
+    if other is not None and other.deviance - likelihood < least:
+        return other.memory
     return found.memory
 
 
@@ -1311,6 +1324,11 @@ def _air(
         Record(blocks, rest, along[list(rows)], np.ones((1, rest.size)))
         for blocks, rest, along in parts
     ]
+
+
+def _likelihood(air: Sequence[Record], noise: SensorNoise) -> float:
+    """Return minus twice the log likelihood of records beside what they go with."""
+    return deviance(air, noise) - _told(air, noise)
 
 
 def _told(air: Sequence[Record], noise: SensorNoise) -> float:

@@ -1019,11 +1019,10 @@ def _path(
     )
     # On its way there and back the tool may be commanded otherwise than on the object.
     end = phases.t_end if phases.t_loss is None else phases.t_loss
+    # A quick withdrawal is off the object at once.
+    end += _EDGE_SAMPLES[0] * path.interval
     return path, [
-        turn
-        for turn in turns
-        # A quick withdrawal is off the object at once.
-        if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
+        turn for turn in turns if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
     ]
 
 

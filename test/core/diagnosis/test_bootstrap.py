@@ -107,10 +107,14 @@ def test_simulated_campaigns_are_white_beside_the_noise_that_they_were_made_with
 
 def test_scattering_trials_differ_by_their_scatter(noise_only: Any) -> None:
     _, base = noise_only.bench()
-    made = simulated(base, np.array([0.1, 0.0, 0.0]), np.random.default_rng(0))
-    alike = simulated(base, NONE, np.random.default_rng(0))
-    peaks = [one.peak_force / other.peak_force for one, other in zip(made, alike, strict=True)]
-    assert np.ptp(peaks) > 0.02
+    spans = []
+    for seed in range(5):
+        made = simulated(base, np.array([0.1, 0.0, 0.0]), np.random.default_rng(seed))
+        alike = simulated(base, NONE, np.random.default_rng(seed))
+        peaks = [one.peak_force / other.peak_force for one, other in zip(made, alike, strict=True)]
+        spans.append(np.ptp(peaks))
+    # A tenth of K1 is a few percent of the largest force.
+    assert np.mean(spans) > 0.02
 
 
 def test_chance_does_what_a_campaign_without_effect_shows(world: Any) -> None:
