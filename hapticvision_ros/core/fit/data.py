@@ -973,7 +973,8 @@ def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = 
     Returns
     -------
     ToolPath
-        The path; from a fifth of the depth above the object on, only roughly.
+        The path; where that takes too many corners, from a fifth of the depth above the object on
+        only roughly.
 
     """
     return _path(displacement, phases, servo)[0]
