@@ -40,6 +40,9 @@ def main(argv: list[str] | None = None) -> int:
 
     """
     try:
+        from hapticvision_ros.threads import one_thread
+
+        one_thread()
         from hapticvision_ros.cli.command import run
 
         return run(sys.argv[1:] if argv is None else argv)

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 _FEWEST: Final = 64
 """Samples without contact, in all trials together, that tell the noise."""
 _FEW: Final = 32
-"""Samples of a trial in contact that tell how loud it is."""
+"""Samples in contact, in all trials together, that tell how loud it is."""
 _NEAR: Final = 4.0
 """Intervals of the encoders about a change of speed in which the force may be off."""
 _SETTLING: Final = 0.05
@@ -362,9 +362,9 @@ def _held(
     memory: float,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is or goes on for longer."""
-    known = [each for each in parts if each[2].size >= _FEW]
     quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
-    if quiet.size < _FEWEST or not known:
+    whole = np.concatenate([np.empty(0), *(each[2] for each in parts)])
+    if quiet.size < _FEWEST or whole.size < _FEW:
         return None
     told = math.sqrt(float(np.mean(quiet**2)))
     # What goes to and fro between readings has its rounding in it already.
@@ -372,13 +372,17 @@ def _held(
     # A standard deviation is known to one over the root of twice the samples.
     unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
     ratios = []
-    for name, _, loud in known:
-        error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
-        ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
-    worst, name, error = max(ratios)
-    whole = np.concatenate([each[2] for each in known])
+    for name, _, loud in parts:
+        if loud.size:
+            error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
+            ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
+    worst, name, _ = max(ratios)
     ratio = math.sqrt(float(np.mean(whole**2))) / noise
-    quieter = ratio < _LOUD + unsure and worst < _LOUD_TRIAL + math.hypot(unsure, error)
+    # A trial of few samples is loud by chance.
+    unsure_whole = math.hypot(unsure, _SIGMAS * math.sqrt(0.5 * alike / whole.size))
+    quieter = ratio < _LOUD + unsure_whole and all(
+        each < _LOUD_TRIAL + math.hypot(unsure, error) for each, _, error in ratios
+    )
     if ratio < _LOUDER:
         memory = 0.0
     if quieter and memory == 0.0:

@@ -22,6 +22,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
 from hapticvision_ros.core.diagnosis.selection import Trialled
 from hapticvision_ros.core.fit.campaign import Problem
+from hapticvision_ros.core.fit.least_squares import orthonormal
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -109,18 +110,13 @@ class Tangent:
         for index, place in enumerate(problem.places):
             force, height = problem.records(base.state, index)
             rows = self._white(index, force[:-1], height[:-1])
-            shared, own = np.split(rows, [problem.p])
-            block = np.zeros((rows.shape[1], problem.size))
-            block[:, : problem.p] = shared.T
-            block[:, place] = own.T
+            block = np.zeros((problem.size, rows.shape[1]))
+            block[: problem.p] = rows[: problem.p]
+            block[place] = rows[problem.p :]
             blocks.append(block)
         prior, _ = problem.priors(base.state)
         self._priors = prior.shape[0]
-        jacobian = np.vstack((*blocks, prior))
-        scale = np.sqrt(np.sum(jacobian**2, axis=0))
-        jacobian = jacobian[:, scale > 0.0] / scale[scale > 0.0]
-        basis, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-        self._basis = basis[:, singular > 1e-9 * singular[0]]
+        self._basis = orthonormal(np.hstack((*blocks, prior.T)))
 
     def white(self, curve: Sequence[Columns]) -> FloatArray:
         """Return a curve over the noise, as one vector."""
@@ -132,7 +128,10 @@ class Tangent:
     def beyond(self, curve: Sequence[Columns]) -> FloatArray:
         """Return a curve over the noise less what the parameters can make up for."""
         white = self.white(curve)
-        return np.asarray(white - self._basis @ (self._basis.T @ white), dtype=np.float64)
+        # Directions that are nearly alike are not quite at right angles the first time.
+        for _ in range(2):
+            white = white - (self._basis @ white) @ self._basis
+        return np.asarray(white, dtype=np.float64)
 
     def _white(self, index: int, force: FloatArray, height: FloatArray) -> FloatArray:
         force_filter, height_filter = self._whiteners[index]

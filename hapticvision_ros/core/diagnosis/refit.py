@@ -49,7 +49,7 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.least_squares import minimise
+from hapticvision_ros.core.fit.least_squares import minimise, triangle
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     Record,
@@ -421,7 +421,7 @@ class Workbench:
                 other = height_filter(np.vstack((columns[index].height, height)))
                 whole = np.hstack((whole, other))
                 determinant += height_filter.log_determinant
-            factor = np.linalg.qr(whole.T, mode='r')
+            factor = triangle(whole)
             mine, shared, own, target = np.split(factor, [k, k + problem.p, -1], axis=1)
             block = np.zeros((factor.shape[0], problem.size))
             block[:, : problem.p] = shared

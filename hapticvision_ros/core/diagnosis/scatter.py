@@ -54,6 +54,16 @@ _SIZES: Final = (0.0, *np.geomspace(2e-4, 0.3, 180).tolist())
 """Scatter that is tried."""
 _CAUTION: Final = 0.25
 """The scatter is taken as large as it is with this probability of being larger still."""
+_SHORTEST_BLOCK: Final = 2
+"""Trials that differ from all others, and of these, beside a repeat on the other side."""
+_LEAST_DEGREES: Final = 3
+"""Differences between repeats that show such trials."""
+_BLOCK_SHARE: Final = 0.9
+"""Part of what repeats differ by that is due to them."""
+_BLOCK_CHANCE: Final = 1e-3
+"""Probability of that where trials scatter."""
+_DRAWS: Final = 10_000
+_SEED: Final = 20_250_102
 LEAST: Final = 5e-4
 """Scatter below this is none."""
 
@@ -71,12 +81,37 @@ class Scatter:
         The same, enlarged for how few repeats there are.
     degrees : int
         Differences between repeats of the same push.
+    block : Block or None
+        Trials that differ from all others, where that is no scatter.
 
     """
 
     std: FloatArray
     cautious: FloatArray
     degrees: int
+    block: 'Block | None' = None
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """
+    Trials one after another that differ from their repeats, while all others agree.
+
+    Parameters
+    ----------
+    first, last : int
+        Indices of the first and of the last of them.
+    change : float
+        By how much K1, C1 and C2, taken together, are larger in them, relatively.
+    rest : float
+        Standard deviation of what is left between repeats, relatively.
+
+    """
+
+    first: int
+    last: int
+    change: float
+    rest: float
 
 
 def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
@@ -165,7 +200,8 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     if cautious.max() < LEAST:
         return Scatter(np.zeros(3), np.zeros(3), degrees)
     std = np.where(std < LEAST, 0.0, std)
-    return Scatter(std, np.maximum(cautious, LEAST), degrees)
+    block = _block(_factors(shifts, noises), repeated) if std.any() else None
+    return Scatter(std, np.maximum(cautious, LEAST), degrees, block)
 
 
 def _common(
@@ -265,13 +301,80 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
     return shifts, noises
 
 
+def _factors(shifts: FloatArray, noises: FloatArray) -> FloatArray:
+    """Return what each trial tells of one factor of all three elements, as a logarithm."""
+    weights = np.linalg.inv(noises).sum(axis=1)
+    return np.asarray(np.sum(weights * shifts, axis=1) / weights.sum(axis=1))
+
+
+def _block(factors: FloatArray, groups: Sequence[Sequence[int]]) -> Block | None:
+    """
+    Return the trials that differ from all others by more than chance makes of scatter.
+
+    What changed between two trials, as a temperature or how the object lies, changes all that
+    follow until it changes back. Where chance alone puts the trials it seldom leaves so little
+    between the others, which is simulated: the ratio does not depend on the scatter's size.
+    """
+    members = np.sort(np.concatenate([np.asarray(group) for group in groups]))
+    chosen, columns, norms = [], [], []
+    for i, first in enumerate(members):
+        for last in members[i + _SHORTEST_BLOCK - 1 :]:
+            inside = (members >= first) & (members <= last)
+            column = np.zeros(factors.size)
+            for group in groups:
+                among = [index for index in group if first <= index <= last]
+                column[among] = 1.0
+                column[group] -= len(among) / len(group)
+            column = column[members]
+            # A block and the rest after it are the same blocks seen from the other side.
+            told = min(
+                np.count_nonzero(inside & (column != 0.0)),
+                np.count_nonzero(~inside & (column != 0.0)),
+            )
+            if told >= _SHORTEST_BLOCK:
+                chosen.append((int(first), int(last)))
+                norms.append(math.sqrt(float(column @ column)))
+                columns.append(column / norms[-1])
+    degrees = members.size - len(groups)
+    if not chosen or degrees < _LEAST_DEGREES:
+        return None
+    among = np.array(columns)
+    values = np.zeros(factors.size)
+    for group in groups:
+        values[group] = factors[group] - factors[group].mean()
+    along = among @ values[members]
+    total = float(values @ values)
+    # Pushes that are repeated once do not show where between them a change was.
+    alike = np.flatnonzero(along**2 >= (1.0 - 1e-9) * np.max(along**2))
+    best = int(min(alike, key=lambda k: chosen[k][1] - chosen[k][0]))
+    share = float(along[best] ** 2) / total
+    if share < _BLOCK_SHARE:
+        return None
+    random = np.random.default_rng(_SEED)
+    drawn = np.zeros((_DRAWS, factors.size))
+    for group in groups:
+        of = random.standard_normal((_DRAWS, len(group)))
+        drawn[:, group] = of - of.mean(axis=1, keepdims=True)
+    shares = ((drawn[:, members] @ among.T) ** 2).max(axis=1) / np.sum(drawn**2, axis=1)
+    if np.count_nonzero(shares >= share) > _BLOCK_CHANCE * _DRAWS:
+        return None
+    first, last = chosen[best]
+    change = float(along[best]) / norms[best]
+    if 2 * np.count_nonzero((members >= first) & (members <= last)) > members.size:
+        # Of what changed once, the fewer trials are the others.
+        if first == members[0]:
+            first, last, change = int(members[members > last][0]), int(members[-1]), -change
+        elif last == members[-1]:
+            first, last, change = int(members[0]), int(members[members < first][-1]), -change
+    rest = math.sqrt(max(total * (1.0 - share), 0.0) / (degrees - 1))
+    return Block(first, last, math.expm1(change), rest)
+
+
 def _trend(
     shifts: FloatArray, noises: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
 ) -> float:
     """Return by how much the shifts change with time over the campaign, where it is no chance."""
-    # What a trial tells of one factor of all three elements.
-    weights = np.linalg.inv(noises).sum(axis=1)
-    factors = np.sum(weights * shifts, axis=1) / weights.sum(axis=1)
+    factors = _factors(shifts, noises)
     common = np.concatenate([factors[group] - factors[group].mean() for group in groups])
     late = np.concatenate([times[group] - times[group].mean() for group in groups])
     spread = float(late @ late)

@@ -38,7 +38,7 @@ from hapticvision_ros.core.diagnosis.records import (
     Unexplained,
 )
 from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
-from hapticvision_ros.core.diagnosis.scatter import conditions, measure, Scatter
+from hapticvision_ros.core.diagnosis.scatter import Block, conditions, measure, Scatter
 from hapticvision_ros.core.diagnosis.selection import (
     BLUNT,
     drawn_out,
@@ -252,6 +252,10 @@ def _otherwise(
     forces tell beside each smaller model, is taken together; also whether that is the better
     account, and not only as good.
     """
+    left = outcome.rest[0].curve if outcome.rest else None
+    if left is not None and (left.channel, left.phase) == ('force', 'recover'):
+        # Where the tool is away it does not matter how it goes.
+        return None
     known, corners = arm_of(trials)
     if known is None:
         return None
@@ -453,6 +457,9 @@ class _Search:
                 # Or stands out so much that it has passed for glitches.
                 status = 'partly_explained' if order else 'unexplained'
                 unexplained = self._struck(bench, base, chosen, struck, unexplained)
+        if scatter is not None and scatter.block is not None:
+            status = 'partly_explained' if order else 'unexplained'
+            unexplained = self._changed(bench, base, chosen, scatter.block, unexplained)
         if unrepeated is not None and (order or unrepeated >= _TOO_MUCH):
             # An effect of no library may hide in what stands in for scatter.
             status = 'partly_explained' if order else 'unexplained'
@@ -718,6 +725,29 @@ class _Search:
         where = () if other is None else other.where
         share = struck.share / (struck.share + taken**2) if struck.share > 0.0 else 0.0
         return Unexplained(share_of_chi2=max(share, known), where=(str(struck), *where))
+
+    def _changed(
+        self,
+        bench: Workbench,
+        base: Refit,
+        chosen: Refit,
+        block: Block,
+        other: Unexplained | None,
+    ) -> Unexplained:
+        """Return what is left where some trials differ from all others."""
+        alike = Workbench(bench.trials, None, bench.memory).refit(chosen.model, chosen)
+        left = 0.0 if alike is None else strength(bench, chosen, alike)
+        taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
+        share = left**2 / (left**2 + taken**2) if left > 0.0 else 0.0
+        if other is not None:
+            share = max(share, other.share_of_chi2)
+        where = (
+            f'{bench.trials[block.first].name} to {bench.trials[block.last].name} differ from '
+            f'repeats of the same push before or after them by {100.0 * block.change:+.2g} % in '
+            f'K1, C1 and C2, all others only by {100.0 * block.rest:.2g} %: what changed between '
+            f'trials is no scatter'
+        )
+        return Unexplained(share, (where, *(() if other is None else other.where)))
 
     def _differing(
         self, bench: Workbench, plain: Workbench, base: Refit, chosen: Refit, size: float

@@ -68,6 +68,9 @@ _BRIEF: Final = 3.0
 _BRIEF_NEAR: Final = 0.98
 """Part of the gain of what is over within so many samples from which on another is like it: how
 the tool went within a sample is not known."""
+_WAY: Final = 0.005
+"""Part of the gain of what draws jumps out that does not tell it from its like, however long it
+lasts: the way of the tool as it changes its speed is not known more exactly."""
 _KNOWN: Final = 0.15
 """Samples to which the moments of jumps are known, below which that is no matter."""
 BLUNT: Final = 1.0
@@ -109,6 +112,9 @@ class Trialled:
     release, stop : float
         What of the score the start of the release tells, and the stops that the encoders do not
         show, if the effect is over within a sample.
+    in_height, height_score : float
+        The strength in the displacement height alone, whose samples are few beside the force's,
+        and what of the score these tell.
 
     """
 
@@ -119,6 +125,8 @@ class Trialled:
     refit: Refit | None
     release: float = 0.0
     stop: float = 0.0
+    in_height: float = 0.0
+    height_score: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +186,16 @@ def strength(bench: Workbench, one: Refit, other: Refit, *, calm: bool = False) 
     total = sum(float(t.force_count.sum() + t.height_count.sum()) for t in bench.trials)
     difference = changes(bench, one, other, calm=calm)
     return math.sqrt(float(difference @ difference) / total)
+
+
+def strength_in_height(bench: Workbench, one: Refit, other: Refit) -> float:
+    """Return the root mean square change of the displacement height alone, over its noise."""
+    total = sum(float(trial.height_count.sum()) for trial in bench.trials)
+    squares = 0.0
+    for index, trial in enumerate(bench.trials):
+        change = _predicted(one, index)[1] - _predicted(other, index)[1]
+        squares += float(trial.height_count @ change**2)
+    return math.sqrt(squares / total) / other.height_noise.std if total > 0.0 else 0.0
 
 
 def fleeting(bench: Workbench, refit: Refit, effect: str) -> bool:
@@ -301,7 +319,8 @@ def try_all(
         least = sorted(promises.values(), reverse=True)[:most][-1] if names else 0.0
         tried = list(pool.map(one, names))
         best = max(tried, key=lambda each: (each.refit is not None, each.gain), default=None)
-        if best is not None and best.gain > GATE and _is_quick(best.effect):
+        found = best is not None and best.gain > GATE and _is_quick(best.effect)
+        if found or without.blur.later > BLUNT:
             # Jumps of moments that are not known promise nothing to some that draw them out.
             missed = [each for each in tried if each.refit is None and _is_quick(each.effect)]
             again = {each.effect: one(each.effect, promising=True) for each in missed}
@@ -382,7 +401,23 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
             release, stop = np.maximum(before - after, 0.0).tolist()
             # How the tool leaves is no less than how it is held, but for what is over at once.
             release = release if brief else 0.0
-    return Trialled(effect, score, gain, strength(bench, refit, without), refit, release, stop)
+    in_height = strength_in_height(bench, refit, without)
+    told = 0.0
+    if in_height > WEAKEST or _is_quick(effect):
+        told = _told_by_heights(bench, without) - _told_by_heights(bench, refit)
+    size = strength(bench, refit, without)
+    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told)
+
+
+def _told_by_heights(bench: Workbench, refit: Refit) -> float:
+    """Return the part of the deviance that is told by the displacement heights."""
+    told = 0.0
+    filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
+    for index, (_, white) in enumerate(filters):
+        if white is not None:
+            residual = bench.residual(refit.problem, refit.state, index)[1]
+            told += float(np.sum(white(residual[np.newaxis]) ** 2)) + white.log_determinant
+    return told
 
 
 def _stops_shown(bench: Workbench, without: Refit, refit: Refit) -> tuple[tuple[bool, ...], bool]:
@@ -500,7 +535,7 @@ def select(
         How it came to that; the last has accepted nothing unless the most effects are reached.
 
     """
-    current, rounds, strongest = base, list[Round](), 0.0
+    current, rounds, strongest = base, list[Round](), (0.0, 0.0)
     while len(rounds) < _MOST:
         open_ = candidates_for(current.model, names)
         before: tuple[Trialled, ...] = ()
@@ -534,7 +569,10 @@ def select(
         alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
         rounds.append(Round(current, tried, alike))
         calm = not fleeting(bench, good[0].refit, leader.effect)
-        strongest = max(strongest, strength(bench, good[0].refit, current, calm=calm))
+        strongest = (
+            max(strongest[0], strength(bench, good[0].refit, current, calm=calm)),
+            max(strongest[1], leader.in_height),
+        )
         current = good[0].refit
     return current, tuple(rounds)
 
@@ -557,14 +595,31 @@ def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
     """Return the leader of some candidates, best first, and those that are not told from it."""
     leader = good[0]
     assert leader.refit is not None
-    if _samples(bench, leader.refit, leader.effect) >= _BRIEF:
-        return [each for each in good if each.gain > leader.gain - LEAD]
     enough = leader.gain - LEAD
+    samples = _samples(bench, leader.refit, leader.effect)
+    if samples >= _BRIEF:
+        alike = enough if math.isinf(samples) else min(enough, (1.0 - _WAY) * leader.gain)
+        return [
+            each
+            for each in good
+            if each.gain > enough
+            or (_is_quick(each.effect) and each.gain > alike and _heights_alike(each, leader))
+        ]
     if leader.refit.blur.later > _KNOWN:
         enough = min(enough, _BRIEF_NEAR * leader.gain)
     # Nor does it count between them how the arm moved unseen.
     seen = _seen(leader) - LEAD
-    return [each for each in good if each.gain > enough or _seen(each) > seen]
+    return [
+        each
+        for each in good
+        if each.gain > leader.gain - LEAD
+        or ((each.gain > enough or _seen(each) > seen) and _heights_alike(each, leader))
+    ]
+
+
+def _heights_alike(each: Trialled, leader: Trialled) -> bool:
+    """Return whether the heights, which jumps do not matter to, speak no less for one effect."""
+    return each.height_score > leader.height_score - LEAD
 
 
 def _seen(each: Trialled) -> float:
@@ -578,18 +633,30 @@ def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> boo
     return bool(simpler) and one.refit is not None and fleeting(bench, one.refit, one.effect)
 
 
-def _good(bench: Workbench, tried: Sequence[Trialled], strongest: float) -> list[Trialled]:
-    """Return the candidates that may be accepted, best first."""
-    weakest = max(WEAKEST, _SECONDARY * strongest)
+def _good(
+    bench: Workbench, tried: Sequence[Trialled], strongest: tuple[float, float]
+) -> list[Trialled]:
+    """
+    Return the candidates that may be accepted, best first.
+
+    Beside what was accepted so far, whose largest strengths are given: in all samples, and in the
+    displacement height alone.
+    """
+    weakest, weakest_in_height = (max(WEAKEST, _SECONDARY * each) for each in strongest)
     refused = drawn_out(bench, tried)
+
+    def heights_tell(each: Trialled) -> bool:
+        # A few heights are weak beside many forces, and so is what only they show.
+        return each.in_height > weakest_in_height and each.height_score > CERTAIN
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
             seen = each.strength > weakest
             # What acts for a short while, such as adhesion, is weak over whole trials.
-            seen |= not strongest and each.gain > CERTAIN
-            return seen and _seen(each) > GATE
-        if not _draws_out(bench, each, weakest, _seen(each)):
+            seen |= strongest[0] == 0.0 and each.gain > CERTAIN
+            return (seen and _seen(each) > GATE) or heights_tell(each)
+        # How a jump is drawn out does not matter to the heights.
+        if not _draws_out(bench, each, weakest, _seen(each)) and not heights_tell(each):
             return False
         # What a simpler one tells as well is not there where that one is refused.
         simpler = [e for e in tried if e.effect in BY_NAME[each.effect].generalises]

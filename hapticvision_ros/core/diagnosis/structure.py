@@ -44,6 +44,8 @@ _BESIDE: Final = 3
 """Steps beside a jump of the force in which nothing is looked for."""
 _UNKNOWN: Final = 2.0
 """Intervals of the encoders beside a jump of the force in which nothing is looked for either."""
+_FEWEST_AWAY: Final = 3
+"""Trials that tell from slow noise what is alike in them once the tool is away."""
 _LOOKED_CLOSER: Final = 3
 """Curves whose noise is estimated anew."""
 
@@ -153,11 +155,12 @@ def _curves(bench: Workbench) -> Iterator[Curve]:
     sizes: list[Size] = ['alike', 'force', 'own'] if len(bench.trials) > 1 else ['alike']
     for channel in channels:
         for phase in _PHASES:
-            if channel == 'force' and phase == 'recover':
-                # The tool is away: what is there is the load cell's own slow noise.
-                continue
+            # The tool is away: what differs from trial to trial is the load cell's own slow noise.
+            away = channel == 'force' and phase == 'recover'
             for along in _ALONG:
                 for size in sizes:
+                    if away and (size == 'own' or len(bench.trials) < _FEWEST_AWAY):
+                        continue
                     yield Curve(channel, phase, along, size)
 
 

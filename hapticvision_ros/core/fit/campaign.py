@@ -40,7 +40,7 @@ from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
-from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution
+from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution, triangle
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     deviance,
@@ -547,7 +547,7 @@ class Problem:
             rows = np.hstack((rows, weights.height(height)))
         if not np.isfinite(rows).all():
             return np.array([math.inf]), np.zeros((1, rows.shape[0] - 1))
-        factor = np.linalg.qr(rows.T, mode='r')
+        factor = triangle(rows)
         known, weight = self._known(trial)
         prior = np.zeros((known.size, factor.shape[1] - 1))
         prior[np.arange(known.size), self.p + known] = weight

@@ -59,6 +59,10 @@ _MOST_LOOKS: Final = 400
 """Looks at an event."""
 _ASTRAY: Final = 12.0
 """What a height is beyond both its neighbours by, over the noise, from which on it is a glitch."""
+_LONE: Final = 2.5
+"""Samples beside an event in which one that is alone may be what the object does."""
+_LONE_STEPS: Final = 12.0
+"""Standard deviations of rounding beyond its neighbours from which on a force may be alone."""
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _GROWTH: Final = 0.02
@@ -114,6 +118,10 @@ _MOVING: Final = 6.0
 _ZOOMS: Final = 5
 _ROUGH_ZOOMS: Final = 3
 """Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
+_FEW_SEEN: Final = 8.0
+"""Samples of the encoders in a change of speed from which on they show how it goes."""
+_FORM: Final = 1e-4
+"""What its form may be off by otherwise, over the way in it."""
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _SHOWN: Final = 12.0
@@ -596,7 +604,9 @@ def _prepare(
     middle = 0.5 * (force.t[1:] + force.t[:-1])
     edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
     eventful = near_events(force.t, phases, interval)
-    bad = (suspects(force.value) & ~eventful) | absurd(force.value, interval)
+    lone = _lone(force, phases, path, interval)
+    eventful &= ~lone
+    bad = ((suspects(force.value) | lone) & ~eventful) | absurd(force.value, interval)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
     edges = samples.edges
@@ -864,14 +874,52 @@ def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
     if value.size < 8:
         return astray
     noise = NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(value, 2)))) / math.sqrt(6.0)
-    before, here, after = value[:-2], value[1:-1], value[2:]
-    beyond = np.maximum(here - np.maximum(before, after), np.minimum(before, after) - here)
-    astray[1:-1] = (noise > 0.0) & (beyond > _ASTRAY * noise)
+    astray = (noise > 0.0) & (_outside(value) > _ASTRAY * noise)
     reach = 2.0 * float(np.median(np.diff(t)))
     for event in (phases.t_hold, phases.t_release, phases.t_loss):
         if event is not None:
             astray &= np.abs(t - event) > reach
     return astray
+
+
+def _outside(value: FloatArray) -> FloatArray:
+    """Return how far each sample is beyond both of its neighbours; at least zero."""
+    beyond = np.zeros(value.size)
+    before, here, after = value[:-2], value[1:-1], value[2:]
+    beyond[1:-1] = np.maximum(here - np.maximum(before, after), np.minimum(before, after) - here)
+    return np.maximum(beyond, 0.0)
+
+
+def _lone(
+    force: Signal, phases: Segmentation, path: ToolPath, interval: float
+) -> NDArray[np.bool_]:
+    """
+    Return which forces near a touch or a stop are glitches nevertheless.
+
+    What an object does there begins with the event or goes on for some samples: one that is alone,
+    between two that are as they should be, is a sensor's.
+    """
+    lone = np.zeros(force.t.size, dtype=np.bool_)
+    if lone.size < 8:
+        return lone
+    beyond = _outside(force.value)
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(force.value, 2)))) / math.sqrt(6.0)
+    lone = beyond > _ASTRAY * noise
+    if not lone.any():
+        return lone
+    lone &= beyond > _LONE_STEPS * rounding(force.value)
+    change = np.abs(force.value[2:] - force.value[:-2])
+    beside = np.maximum(beyond[2:], beyond[:-2])
+    lone[1:-1] &= np.maximum(change, 2.0 * beside) < 0.5 * beyond[1:-1]
+    # A sticky object lets go at once.
+    if phases.t_release is not None:
+        lone &= force.t < phases.t_release
+    reach = _LONE * interval + 2.0 * path.interval
+    spans = [(t, t) for t in (phases.t_contact, phases.t_hold) if t is not None]
+    spans += [(bend.start, bend.stop) for bend in path.bends]
+    for first, last in spans:
+        lone[(force.t > first - reach) & (force.t < last + reach)] = False
+    return lone
 
 
 def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray[np.bool_]:
@@ -1190,6 +1238,9 @@ def _bend(
     squares = corner.left(shape, shift)
     if not start - margin < meeting < stop + margin:
         return None
+    if shape.duration + shape.lag < _FEW_SEEN * step:
+        # No arm goes quite as any of the shapes; the samples beside tell less of what is between.
+        enough += corner.t.size * (_FORM * abs(corner.turn) * shape.duration) ** 2
     if squares > enough:
         return None
     scale = max(noise**2, squares / corner.t.size)
@@ -1511,13 +1562,27 @@ def _pieces(
 
 def _line(t: FloatArray, value: FloatArray, weight: FloatArray) -> tuple[float, float]:
     """Return level at t = 0 and slope of the weighted line of least squares."""
-    total = float(weight.sum())
-    centre = float(weight @ t) / total
-    mean = float(weight @ value) / total
-    away = t - centre
-    spread = float(weight @ away**2)
-    slope = float(weight @ (away * value)) / spread if spread > 0.0 else 0.0
-    return mean - slope * centre, slope
+    level, slope, _ = _straight(t, value, weight)
+    return level, slope
+
+
+@kernel(fastmath={'reassoc', 'contract'})
+def _straight(t, value, weight):  # type: ignore[no-untyped-def]
+    """Return level at t = 0 and slope of the weighted line of least squares, and its spread."""
+    total = centre = mean = 0.0
+    for i in range(t.size):
+        total += weight[i]
+        centre += weight[i] * t[i]
+        mean += weight[i] * value[i]
+    centre /= total
+    mean /= total
+    spread = joint = 0.0
+    for i in range(t.size):
+        away = t[i] - centre
+        spread += weight[i] * away * away
+        joint += weight[i] * away * value[i]
+    slope = joint / spread if spread > 0.0 else 0.0
+    return mean - slope * centre, slope, spread
 
 
 def _leaves(miss: FloatArray, count: FloatArray, noise: float) -> bool:
@@ -1563,8 +1628,8 @@ def _piece(t: FloatArray, value: FloatArray, first: int, last: int, noise: float
     x = t[inner]
     if x.size < 2:
         return _Piece(0.0, 0.0, math.inf)
-    level, slope = _line(x, value[inner], np.ones(x.size))
-    return _Piece(level, slope, noise / math.sqrt(float(np.sum((x - x.mean()) ** 2))))
+    level, slope, spread = _straight(x, value[inner], np.ones(x.size))
+    return _Piece(level, slope, noise / math.sqrt(spread))
 
 
 def _meet(t: FloatArray, value: FloatArray, corners: Sequence[float], noise: float) -> FloatArray:

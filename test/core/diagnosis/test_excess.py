@@ -146,3 +146,25 @@ def test_what_strikes_at_any_time_is_glitches(world: Any) -> None:
     found, phases = _struck(world, 0.2, 9.0)
     assert phases[0].t_end > 9.0
     assert found is None
+
+
+def test_a_few_heights_in_each_trial_are_held_against_their_noise_together(
+    world: Any,
+) -> None:
+    """Those of one trial tell little by themselves."""
+
+    def thinned(trial: Trial) -> Trial:
+        seen = trial.displacement_height
+        return replace(trial, displacement_height=Signal(seen.t[::2], seen.value[::2]))
+
+    campaign = world.campaign(hold=0.5)
+    found = []
+    for effects in ((), (Undeclared('height_gain', (-0.3,)),)):
+        measured = world.measure(campaign, *effects, seed=1, change=thinned)
+        _, base = measured.bench()
+        for trial, phases in zip(base.problem.trials, measured.phases, strict=True):
+            inside = (trial.height_t > phases.t_contact) & (trial.height_t < phases.t_loss)
+            assert np.count_nonzero(inside) < 32
+        found.append(louder(base, measured.phases))
+    assert found[0] == ()
+    assert [each.channel for each in found[1]] == ['displacement height']

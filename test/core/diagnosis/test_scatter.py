@@ -22,6 +22,7 @@ from typing import Any
 
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.scatter import (
+    _block,
     _common,
     conditions,
     LEAST,
@@ -215,3 +216,34 @@ def test_the_limit_of_the_scatter_is_above_it_as_often_as_it_says(slope: float) 
         _, limit = _common(shifts, np.array([noise] * 5), late, groups)
         above.append(limit >= scatter)
     assert 0.65 < np.mean(above) < 0.85
+
+
+@pytest.mark.parametrize('groups', [[[0, 1, 2, 3, 4]], [[0, 2, 4, 6], [1, 3, 5, 7]]])
+def test_trials_one_after_another_that_differ_from_all_others_are_no_scatter(
+    groups: list[list[int]],
+) -> None:
+    random = np.random.default_rng(7)
+    count = sum(map(len, groups))
+    changed = 2e-4 * random.standard_normal(count)
+    changed[2:4] -= 0.08
+    found = _block(changed, groups)
+    assert found is not None
+    assert found.change == pytest.approx(np.expm1(-0.08), abs=2e-3)
+    assert (found.first, found.last) == (2, 3)
+    assert found.rest < 1e-3
+    # Scatter puts them so by chance once in a thousand campaigns.
+    chance = [_block(0.02 * random.standard_normal(count), groups) for _ in range(300)]
+    assert sum(each is not None for each in chance) <= 3
+
+
+def test_what_changed_once_is_said_of_the_fewer_trials() -> None:
+    factors = np.array([0.05, 0.0501, 0.0, 0.0001, -0.0001, 0.0])
+    found = _block(factors, [list(range(6))])
+    assert found is not None
+    assert (found.first, found.last) == (0, 1)
+    assert found.change == pytest.approx(0.0513, abs=1e-3)
+
+
+def test_a_single_trial_that_differs_is_scatter() -> None:
+    factors = np.array([0.0, 0.0001, 0.05, -0.0001, 0.0002, 0.0])
+    assert _block(factors, [list(range(6))]) is None

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.data import (
+    _bend,
     planned,
     prepare,
     suspects,
@@ -540,3 +541,49 @@ def test_a_height_beyond_both_of_its_neighbours_is_left_out(at: float) -> None:
     assert clean.height_count.sum() == len(height)
     assert made.height_count.sum() == len(height) - 1
     assert np.abs(made.height - np.interp(made.height_t, height.t, height.value)).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ('away', 'samples', 'aside'),
+    [(5, 1, True), (1, 1, False), (5, 3, False), (-6, 1, True)],
+)
+def test_one_force_alone_near_a_touch_is_a_glitch(away: int, samples: int, aside: bool) -> None:
+    """Right at the touch, or for some samples, it may be what the object does."""
+    trial = _trial()
+    value = trial.force.value.copy()
+    touch = int(np.argmax(value > 2.5))
+    value[touch + away : touch + away + samples] += 0.5
+    (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
+    assert made is not None
+    expected = trial.force.t[[touch + away]].tolist() if aside else []
+    assert made.set_aside.tolist() == pytest.approx(expected)
+
+
+def test_what_lets_go_at_once_is_no_glitch() -> None:
+    """Near the loss of contact a sticky object pulls for a sample."""
+    trial = _trial()
+    value = trial.force.value.copy()
+    loss = len(value) - int(np.argmax(value[::-1] > 2.5))
+    value[loss + 4] -= 0.5
+    (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
+    assert made is not None
+    assert made.set_aside.size == 0
+
+
+@pytest.mark.parametrize('interval', [0.02, 0.002])
+def test_a_change_of_speed_in_few_samples_is_taken_for_what_it_nearly_is(interval: float) -> None:
+    """Half a cosine, of which encoders show by 0.2 um that it is another shape."""
+    fine = np.arange(0.0, 2.0, 1e-4)
+    speed = -0.02 * (1.0 - np.cos(np.pi * np.clip((fine - 0.96) / 0.08, 0.0, 1.0)))
+    way = np.concatenate(([0.0], np.cumsum(0.5e-4 * (speed[1:] + speed[:-1]))))
+    t = np.arange(0.001, 1.99, interval)
+    read = np.round(np.interp(t, fine, way) / 1e-7) * 1e-7
+    turned = _bend(t, read, (0.0, 0.95, 1.05, 1.98), interval, 5e-8, 1e-7, 3, None)
+    if interval < 0.01:
+        # Many samples show the way itself.
+        assert turned is None
+        return
+    assert turned is not None
+    near = (fine > 0.9) & (fine < 1.1)
+    there = turned.level + turned.bend.turn * np.maximum(fine[near] - turned.bend.t, 0.0)
+    assert np.abs(there + turned.bend.beyond(fine[near]) - way[near]).max() < 2e-6

@@ -24,7 +24,12 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 
-from hapticvision_ros.core.fit.least_squares import covariance, minimise
+from hapticvision_ros.core.fit.least_squares import (
+    covariance,
+    minimise,
+    orthonormal,
+    triangle,
+)
 import numpy as np
 import pytest
 
@@ -155,3 +160,30 @@ def test_a_start_without_a_value_is_refused() -> None:
     """A search cannot leave a point at which the model is not finite."""
     with pytest.raises(ValueError, match='not finite at the start'):
         minimise(lambda theta: (np.array([np.nan]), np.ones((1, 1))), np.array([1.0]))
+
+
+def test_a_triangular_factor_has_the_products_of_its_matrix() -> None:
+    random = np.random.default_rng(4)
+    rows = random.standard_normal((12, 3000)) * np.geomspace(1e-3, 1e3, 12)[:, np.newaxis]
+    rows[5] = rows[3] + 1e-6 * rows[5]
+    rows[7] = 0.0
+    factor = triangle(rows.copy())
+    assert np.array_equal(factor, np.triu(factor))
+    length = np.linalg.norm(rows, axis=1)
+    length[7] = 1.0
+    off = (factor.T @ factor - rows @ rows.T) / np.outer(length, length)
+    assert np.abs(off).max() < 1e-13
+    # What is left of two that are nearly alike is as exact as by reflections.
+    expected = abs(np.linalg.qr(rows[:6].T, mode='r')[5, 5])
+    assert factor[5, 5] == pytest.approx(expected, rel=1e-8)
+
+
+def test_directions_at_right_angles_leave_out_what_depends_on_others() -> None:
+    random = np.random.default_rng(5)
+    rows = random.standard_normal((5, 200))
+    rows[3] = rows[0] - 2.0 * rows[1]
+    rows[4] = 0.0
+    found = orthonormal(rows.copy())
+    assert found.shape == (3, 200)
+    assert found @ found.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert rows - (rows @ found.T) @ found == pytest.approx(np.zeros((5, 200)), abs=1e-11)
