@@ -39,6 +39,7 @@ from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.least_squares import covariance, minimise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc
 
 _WIDE: Final = 0.5
@@ -100,7 +101,7 @@ class Block:
     Parameters
     ----------
     first, last : int
-        Indices of the first and of the last of them.
+        Indices of the first and of the last of them in time.
     change : float
         By how much K1, C1 and C2, taken together, are larger in them, relatively.
     rest : float
@@ -200,7 +201,7 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     if cautious.max() < LEAST:
         return Scatter(np.zeros(3), np.zeros(3), degrees)
     std = np.where(std < LEAST, 0.0, std)
-    block = _block(_factors(shifts, noises), repeated) if std.any() else None
+    block = _block(_factors(shifts, noises), times, repeated) if std.any() else None
     return Scatter(std, np.maximum(cautious, LEAST), degrees, block)
 
 
@@ -307,7 +308,9 @@ def _factors(shifts: FloatArray, noises: FloatArray) -> FloatArray:
     return np.asarray(np.sum(weights * shifts, axis=1) / weights.sum(axis=1))
 
 
-def _block(factors: FloatArray, groups: Sequence[Sequence[int]]) -> Block | None:
+def _block(
+    factors: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
+) -> Block | None:
     """
     Return the trials that differ from all others by more than chance makes of scatter.
 
@@ -315,51 +318,37 @@ def _block(factors: FloatArray, groups: Sequence[Sequence[int]]) -> Block | None
     follow until it changes back. Where chance alone puts the trials it seldom leaves so little
     between the others, which is simulated: the ratio does not depend on the scatter's size.
     """
+    order = np.argsort(times, kind='stable')
+    place = np.argsort(order)
+    groups = [[int(place[index]) for index in group] for group in groups]
     members = np.sort(np.concatenate([np.asarray(group) for group in groups]))
-    chosen, columns, norms = [], [], []
-    for i, first in enumerate(members):
-        for last in members[i + _SHORTEST_BLOCK - 1 :]:
-            inside = (members >= first) & (members <= last)
-            column = np.zeros(factors.size)
-            for group in groups:
-                among = [index for index in group if first <= index <= last]
-                column[among] = 1.0
-                column[group] -= len(among) / len(group)
-            column = column[members]
-            # A block and the rest after it are the same blocks seen from the other side.
-            told = min(
-                np.count_nonzero(inside & (column != 0.0)),
-                np.count_nonzero(~inside & (column != 0.0)),
-            )
-            if told >= _SHORTEST_BLOCK:
-                chosen.append((int(first), int(last)))
-                norms.append(math.sqrt(float(column @ column)))
-                columns.append(column / norms[-1])
+    bounds, columns = _contrasts(members, groups)
     degrees = members.size - len(groups)
-    if not chosen or degrees < _LEAST_DEGREES:
+    if not bounds or degrees < _LEAST_DEGREES:
         return None
-    among = np.array(columns)
-    values = np.zeros(factors.size)
+    sizes = np.linalg.norm(columns, axis=1)
+    unit = columns / sizes[:, np.newaxis]
+    values = factors[order]
     for group in groups:
-        values[group] = factors[group] - factors[group].mean()
-    along = among @ values[members]
-    total = float(values @ values)
+        values[group] -= values[group].mean()
+    along = unit @ values[members]
+    total = float(values[members] @ values[members])
     # Pushes that are repeated once do not show where between them a change was.
     alike = np.flatnonzero(along**2 >= (1.0 - 1e-9) * np.max(along**2))
-    best = int(min(alike, key=lambda k: chosen[k][1] - chosen[k][0]))
+    best = int(min(alike, key=lambda k: bounds[k][1] - bounds[k][0]))
     share = float(along[best] ** 2) / total
     if share < _BLOCK_SHARE:
         return None
     random = np.random.default_rng(_SEED)
-    drawn = np.zeros((_DRAWS, factors.size))
+    drawn = random.standard_normal((_DRAWS, factors.size))
     for group in groups:
-        of = random.standard_normal((_DRAWS, len(group)))
-        drawn[:, group] = of - of.mean(axis=1, keepdims=True)
-    shares = ((drawn[:, members] @ among.T) ** 2).max(axis=1) / np.sum(drawn**2, axis=1)
+        drawn[:, group] -= drawn[:, group].mean(axis=1, keepdims=True)
+    drawn = drawn[:, members]
+    shares = ((drawn @ unit.T) ** 2).max(axis=1) / np.sum(drawn**2, axis=1)
     if np.count_nonzero(shares >= share) > _BLOCK_CHANCE * _DRAWS:
         return None
-    first, last = chosen[best]
-    change = float(along[best]) / norms[best]
+    first, last = bounds[best]
+    change = float(along[best] / sizes[best])
     if 2 * np.count_nonzero((members >= first) & (members <= last)) > members.size:
         # Of what changed once, the fewer trials are the others.
         if first == members[0]:
@@ -367,7 +356,29 @@ def _block(factors: FloatArray, groups: Sequence[Sequence[int]]) -> Block | None
         elif last == members[-1]:
             first, last, change = int(members[0]), int(members[members < first][-1]), -change
     rest = math.sqrt(max(total * (1.0 - share), 0.0) / (degrees - 1))
-    return Block(first, last, math.expm1(change), rest)
+    return Block(int(order[first]), int(order[last]), math.expm1(change), rest)
+
+
+def _contrasts(
+    members: NDArray[np.intp], groups: Sequence[Sequence[int]]
+) -> tuple[list[tuple[int, int]], FloatArray]:
+    """Return the blocks that repeats can show, and what one of size one does to the members."""
+    bounds, columns = list[tuple[int, int]](), list[FloatArray]()
+    for i, first in enumerate(members):
+        for last in members[i + _SHORTEST_BLOCK - 1 :]:
+            column = np.zeros(int(members[-1]) + 1)
+            for group in groups:
+                among = [index for index in group if first <= index <= last]
+                column[among] = 1.0
+                column[group] -= len(among) / len(group)
+            column = column[members]
+            inside = (members >= first) & (members <= last)
+            # A block and the rest after it are the same blocks seen from the other side.
+            told = (inside & (column != 0.0), ~inside & (column != 0.0))
+            if min(map(np.count_nonzero, told)) >= _SHORTEST_BLOCK:
+                bounds.append((int(first), int(last)))
+                columns.append(column)
+    return bounds, np.array(columns)
 
 
 def _trend(

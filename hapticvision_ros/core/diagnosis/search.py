@@ -252,8 +252,8 @@ def _otherwise(
     forces tell beside each smaller model, is taken together; also whether that is the better
     account, and not only as good.
     """
-    left = outcome.rest[0].curve if outcome.rest else None
-    if left is not None and (left.channel, left.phase) == ('force', 'recover'):
+    rest = outcome.rest[0].curve if outcome.rest else None
+    if rest is not None and (rest.channel, rest.phase) == ('force', 'recover'):
         # Where the tool is away it does not matter how it goes.
         return None
     known, corners = arm_of(trials)

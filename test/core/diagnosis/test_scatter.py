@@ -226,24 +226,29 @@ def test_trials_one_after_another_that_differ_from_all_others_are_no_scatter(
     count = sum(map(len, groups))
     changed = 2e-4 * random.standard_normal(count)
     changed[2:4] -= 0.08
-    found = _block(changed, groups)
+    found = _block(changed, np.arange(count) * 60.0, groups)
     assert found is not None
     assert found.change == pytest.approx(np.expm1(-0.08), abs=2e-3)
     assert (found.first, found.last) == (2, 3)
     assert found.rest < 1e-3
     # Scatter puts them so by chance once in a thousand campaigns.
-    chance = [_block(0.02 * random.standard_normal(count), groups) for _ in range(300)]
+    times = np.arange(count) * 60.0
+    chance = [_block(0.02 * random.standard_normal(count), times, groups) for _ in range(300)]
     assert sum(each is not None for each in chance) <= 3
 
 
 def test_what_changed_once_is_said_of_the_fewer_trials() -> None:
     factors = np.array([0.05, 0.0501, 0.0, 0.0001, -0.0001, 0.0])
-    found = _block(factors, [list(range(6))])
+    found = _block(factors, np.arange(6) * 60.0, [list(range(6))])
     assert found is not None
     assert (found.first, found.last) == (0, 1)
     assert found.change == pytest.approx(0.0513, abs=1e-3)
+    # The order of the bags does not matter.
+    found = _block(factors[::-1].copy(), np.arange(6)[::-1] * 60.0, [list(range(6))])
+    assert found is not None
+    assert (found.first, found.last) == (5, 4)
 
 
 def test_a_single_trial_that_differs_is_scatter() -> None:
     factors = np.array([0.0, 0.0001, 0.05, -0.0001, 0.0002, 0.0])
-    assert _block(factors, [list(range(6))]) is None
+    assert _block(factors, np.arange(6) * 60.0, [list(range(6))]) is None
