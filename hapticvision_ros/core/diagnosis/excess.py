@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 _FEWEST: Final = 64
 """Samples without contact, in all trials together, that tell the noise."""
 _FEW: Final = 32
-"""Samples in contact, in all trials together, that tell how loud it is."""
+"""Samples in contact, of a trial or of all together, that tell how loud it is."""
 _NEAR: Final = 4.0
 """Intervals of the encoders about a change of speed in which the force may be off."""
 _SETTLING: Final = 0.05
@@ -372,17 +372,16 @@ def _held(
     # A standard deviation is known to one over the root of twice the samples.
     unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
     ratios = []
-    for name, _, loud in parts:
-        if loud.size:
-            error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
-            ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
-    worst, name, _ = max(ratios)
+    # One sample that is astray is no trial that is louder.
+    known = [each for each in parts if each[2].size >= _FEW]
+    for name, _, loud in known or [each for each in parts if each[2].size]:
+        error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
+        ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
+    worst, name, error = max(ratios)
     ratio = math.sqrt(float(np.mean(whole**2))) / noise
-    # A trial of few samples is loud by chance.
     unsure_whole = math.hypot(unsure, _SIGMAS * math.sqrt(0.5 * alike / whole.size))
-    quieter = ratio < _LOUD + unsure_whole and all(
-        each < _LOUD_TRIAL + math.hypot(unsure, error) for each, _, error in ratios
-    )
+    quieter = ratio < _LOUD + (unsure if known else unsure_whole)
+    quieter &= not known or worst < _LOUD_TRIAL + math.hypot(unsure, error)
     if ratio < _LOUDER:
         memory = 0.0
     if quieter and memory == 0.0:

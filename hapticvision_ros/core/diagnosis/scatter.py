@@ -64,6 +64,9 @@ _BLOCK_SHARE: Final = 0.9
 _BLOCK_CHANCE: Final = 1e-3
 """Probability of that where trials scatter."""
 _DRAWS: Final = 10_000
+_AT_ONCE: Final = 500
+_CLEARER: Final = 0.5
+"""Variance that such trials leave, over that which a steady change leaves, to stand for it."""
 _SEED: Final = 20_250_102
 LEAST: Final = 5e-4
 """Scatter below this is none."""
@@ -177,7 +180,17 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
         return None
     shifts, noises = _shifts(_withdrawn_alike(found, repeated))
     times = np.array([trial.campaign_time for trial in found.problem.trials])
-    slope = _trend(shifts, noises, times, repeated)
+    factors, variances = _factors(shifts, noises)
+    slope = _trend(factors, times, repeated)
+    block = _block(factors, variances, times, repeated)
+    if slope != 0.0 and block is not None:
+        # What changes at once changes with time as well.
+        apart = _apart(factors - slope * times, repeated)
+        degrees = apart.size - len(repeated) - 1
+        if block.rest**2 < _CLEARER * float(apart @ apart) / degrees:
+            slope = 0.0
+        else:
+            block = None
     late = np.zeros(times.size) if slope == 0.0 else times - times.mean()
     shifts = shifts - slope * late[:, np.newaxis]
     degrees = sum(len(group) - 1 for group in repeated)
@@ -201,7 +214,6 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     if cautious.max() < LEAST:
         return Scatter(np.zeros(3), np.zeros(3), degrees)
     std = np.where(std < LEAST, 0.0, std)
-    block = _block(_factors(shifts, noises), times, repeated) if std.any() else None
     return Scatter(std, np.maximum(cautious, LEAST), degrees, block)
 
 
@@ -302,21 +314,30 @@ def _shifts(found: Refit) -> tuple[FloatArray, FloatArray]:
     return shifts, noises
 
 
-def _factors(shifts: FloatArray, noises: FloatArray) -> FloatArray:
-    """Return what each trial tells of one factor of all three elements, as a logarithm."""
+def _factors(shifts: FloatArray, noises: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what each trial tells of one factor of all three, as a logarithm; its variance."""
     weights = np.linalg.inv(noises).sum(axis=1)
-    return np.asarray(np.sum(weights * shifts, axis=1) / weights.sum(axis=1))
+    total = weights.sum(axis=1)
+    return np.sum(weights * shifts, axis=1) / total, 1.0 / total
+
+
+def _apart(values: FloatArray, groups: Sequence[Sequence[int]]) -> FloatArray:
+    """Return what the trials of each group differ by from their mean, group by group."""
+    return np.concatenate([values[group] - values[group].mean() for group in groups])
 
 
 def _block(
-    factors: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
+    factors: FloatArray,
+    variances: FloatArray,
+    times: FloatArray,
+    groups: Sequence[Sequence[int]],
 ) -> Block | None:
     """
     Return the trials that differ from all others by more than chance makes of scatter.
 
     What changed between two trials, as a temperature or how the object lies, changes all that
     follow until it changes back. Where chance alone puts the trials it seldom leaves so little
-    between the others, which is simulated: the ratio does not depend on the scatter's size.
+    between the others, which is simulated with the scatter that they show beside their noise.
     """
     order = np.argsort(times, kind='stable')
     place = np.argsort(order)
@@ -333,20 +354,21 @@ def _block(
         values[group] -= values[group].mean()
     along = unit @ values[members]
     total = float(values[members] @ values[members])
+    if not total > 0.0:
+        return None
     # Pushes that are repeated once do not show where between them a change was.
     alike = np.flatnonzero(along**2 >= (1.0 - 1e-9) * np.max(along**2))
     best = int(min(alike, key=lambda k: bounds[k][1] - bounds[k][0]))
     share = float(along[best] ** 2) / total
     if share < _BLOCK_SHARE:
         return None
-    random = np.random.default_rng(_SEED)
-    drawn = random.standard_normal((_DRAWS, factors.size))
-    for group in groups:
-        drawn[:, group] -= drawn[:, group].mean(axis=1, keepdims=True)
-    drawn = drawn[:, members]
-    shares = ((drawn @ unit.T) ** 2).max(axis=1) / np.sum(drawn**2, axis=1)
-    if np.count_nonzero(shares >= share) > _BLOCK_CHANCE * _DRAWS:
-        return None
+    noise = variances[order]
+    own = sum((1.0 - 1.0 / len(group)) * float(noise[group].sum()) for group in groups)
+    # What they show of it may be their noise alone.
+    for scatter in (max(total - own, 0.0) / degrees, 0.0):
+        std = np.sqrt(scatter + noise)
+        if _chance(unit, std, members, groups, share) > _BLOCK_CHANCE:
+            return None
     first, last = bounds[best]
     change = float(along[best] / sizes[best])
     if 2 * np.count_nonzero((members >= first) & (members <= last)) > members.size:
@@ -357,6 +379,26 @@ def _block(
             first, last, change = int(members[0]), int(members[members < first][-1]), -change
     rest = math.sqrt(max(total * (1.0 - share), 0.0) / (degrees - 1))
     return Block(int(order[first]), int(order[last]), math.expm1(change), rest)
+
+
+def _chance(
+    unit: FloatArray,
+    std: FloatArray,
+    members: NDArray[np.intp],
+    groups: Sequence[Sequence[int]],
+    share: float,
+) -> float:
+    """Return how often trials of some scatter each have a block of at least such a share."""
+    random = np.random.default_rng(_SEED)
+    larger = 0
+    for _ in range(_DRAWS // _AT_ONCE):
+        drawn = std * random.standard_normal((_AT_ONCE, std.size))
+        for group in groups:
+            drawn[:, group] -= drawn[:, group].mean(axis=1, keepdims=True)
+        drawn = drawn[:, members]
+        shares = ((drawn @ unit.T) ** 2).max(axis=1) / np.sum(drawn**2, axis=1)
+        larger += int(np.count_nonzero(shares >= share))
+    return larger / _DRAWS
 
 
 def _contrasts(
@@ -381,13 +423,9 @@ def _contrasts(
     return bounds, np.array(columns)
 
 
-def _trend(
-    shifts: FloatArray, noises: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
-) -> float:
-    """Return by how much the shifts change with time over the campaign, where it is no chance."""
-    factors = _factors(shifts, noises)
-    common = np.concatenate([factors[group] - factors[group].mean() for group in groups])
-    late = np.concatenate([times[group] - times[group].mean() for group in groups])
+def _trend(factors: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]) -> float:
+    """Return by how much the factors change with time over the campaign, where it is no chance."""
+    common, late = _apart(factors, groups), _apart(times, groups)
     spread = float(late @ late)
     free = common.size - len(groups) - 1
     if spread == 0.0 or free < 1:

@@ -252,9 +252,9 @@ def _otherwise(
     forces tell beside each smaller model, is taken together; also whether that is the better
     account, and not only as good.
     """
-    rest = outcome.rest[0].curve if outcome.rest else None
-    if rest is not None and (rest.channel, rest.phase) == ('force', 'recover'):
-        # Where the tool is away it does not matter how it goes.
+    # Where the tool is away it does not matter to a rest how it goes.
+    rest = [each for each in outcome.rest if not each.away]
+    if not rest and not outcome.effects:
         return None
     known, corners = arm_of(trials)
     if known is None:
@@ -266,12 +266,12 @@ def _otherwise(
     memory, scatter = before.noise.memory, outcome.scatter
     bench = Workbench(before.problem.trials, scatter, memory)
     reached = _worth(bench, outcome.chosen)
-    if outcome.rest and not outcome.effects:
-        reached -= outcome.rest[0].gain
+    if rest and not outcome.effects:
+        reached -= rest[0].gain
     for arm in arms:
         start = told(corners, arm)
         for each in outcome.rounds:
-            if not each.alike and (outcome.effects or not outcome.rest):
+            if not each.alike and (outcome.effects or not rest):
                 break
             if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
                 break
@@ -457,9 +457,12 @@ class _Search:
                 # Or stands out so much that it has passed for glitches.
                 status = 'partly_explained' if order else 'unexplained'
                 unexplained = self._struck(bench, base, chosen, struck, unexplained)
+        changed = None
         if scatter is not None and scatter.block is not None:
+            changed = self._changed(bench, base, chosen, scatter.block, unexplained)
+        if changed is not None:
             status = 'partly_explained' if order else 'unexplained'
-            unexplained = self._changed(bench, base, chosen, scatter.block, unexplained)
+            unexplained = changed
         if unrepeated is not None and (order or unrepeated >= _TOO_MUCH):
             # An effect of no library may hide in what stands in for scatter.
             status = 'partly_explained' if order else 'unexplained'
@@ -519,7 +522,8 @@ class _Search:
             )
             self.warnings.append(
                 f'repeats of the same push scatter by {sizes} ({scatter.degrees} differences '
-                f'between repeats): a nuisance that is allowed for and no effect'
+                f'between repeats): a nuisance that is allowed for'
+                + (' and no effect' if scatter.block is None else '')
             )
         return scatter
 
@@ -733,12 +737,14 @@ class _Search:
         chosen: Refit,
         block: Block,
         other: Unexplained | None,
-    ) -> Unexplained:
-        """Return what is left where some trials differ from all others."""
+    ) -> Unexplained | None:
+        """Return what is left where some trials differ from all others; None if it is little."""
         alike = Workbench(bench.trials, None, bench.memory).refit(chosen.model, chosen)
         left = 0.0 if alike is None else strength(bench, chosen, alike)
         taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
-        share = left**2 / (left**2 + taken**2) if left > 0.0 else 0.0
+        if left < max(_LEAST_REST, _FORM * taken):
+            return None
+        share = left**2 / (left**2 + taken**2)
         if other is not None:
             share = max(share, other.share_of_chi2)
         where = (

@@ -114,7 +114,7 @@ class Trialled:
         show, if the effect is over within a sample.
     in_height, height_score : float
         The strength in the displacement height alone, whose samples are few beside the force's,
-        and what of the score these tell.
+        and what of the score these tell; that is zero where the heights show nothing of it.
 
     """
 
@@ -558,7 +558,7 @@ def select(
             # What the search for the larger model has found may serve the smaller one as well.
             closer = bench.refit(current.model, good[0].refit)
             if closer is not None and closer.deviance < current.deviance:
-                tried = _against(tried, current, closer)
+                tried = _against(bench, tried, current, closer)
                 current = closer
                 good = _good(bench, tried, strongest)
         if not good or good[0].refit is None:
@@ -727,11 +727,20 @@ def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) ->
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0
 
 
-def _against(tried: Sequence[Trialled], old: Refit, new: Refit) -> tuple[Trialled, ...]:
+def _against(
+    bench: Workbench, tried: Sequence[Trialled], old: Refit, new: Refit
+) -> tuple[Trialled, ...]:
     """Return the candidates beside a better fit of the model without them."""
     less = old.deviance - new.deviance
+    by_heights = _told_by_heights(bench, old) - _told_by_heights(bench, new)
     return tuple(
-        replace(each, score=max(each.score - less, 0.0), gain=each.gain - less) for each in tried
+        replace(
+            each,
+            score=max(each.score - less, 0.0),
+            gain=each.gain - less,
+            height_score=each.height_score - by_heights,
+        )
+        for each in tried
     )
 
 

@@ -44,8 +44,8 @@ _BESIDE: Final = 3
 """Steps beside a jump of the force in which nothing is looked for."""
 _UNKNOWN: Final = 2.0
 """Intervals of the encoders beside a jump of the force in which nothing is looked for either."""
-_FEWEST_AWAY: Final = 3
-"""Trials that tell from slow noise what is alike in them once the tool is away."""
+_FEWEST_AWAY: Final = 4
+"""Recoveries that tell from slow noise what is alike in them once the tool is away."""
 _LOOKED_CLOSER: Final = 3
 """Curves whose noise is estimated anew."""
 
@@ -107,6 +107,11 @@ class Found:
     strength: float
     share: float
 
+    @property
+    def away(self) -> bool:
+        """Return whether it is in the force while the tool does not touch the object."""
+        return (self.curve.channel, self.curve.phase) == ('force', 'recover')
+
 
 def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tuple[Found, ...]:
     """
@@ -129,7 +134,7 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
     """
     rough = []
     calm = _calm(found)
-    for curve in _curves(bench):
+    for curve in _curves(bench, phases):
         columns = _columns(bench, phases, curve, calm)
         smooth = bench.smooth(found, columns, again=False)
         if smooth.count:
@@ -147,8 +152,12 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
     return tuple(sorted(results, key=lambda each: -each.gain))
 
 
-def _curves(bench: Workbench) -> Iterator[Curve]:
+def _curves(bench: Workbench, phases: Sequence[Segmentation]) -> Iterator[Curve]:
     """Yield the curves to look for."""
+    recovered = sum(
+        phase.t_loss is not None and int(np.count_nonzero(trial.t > phase.t_loss)) > 2 * _HATS
+        for trial, phase in zip(bench.trials, phases, strict=True)
+    )
     channels: list[Channel] = ['force']
     if any(trial.height_t.size for trial in bench.trials):
         channels.append('height')
@@ -159,7 +168,7 @@ def _curves(bench: Workbench) -> Iterator[Curve]:
             away = channel == 'force' and phase == 'recover'
             for along in _ALONG:
                 for size in sizes:
-                    if away and (size == 'own' or len(bench.trials) < _FEWEST_AWAY):
+                    if away and (size == 'own' or recovered < _FEWEST_AWAY):
                         continue
                     yield Curve(channel, phase, along, size)
 
@@ -224,6 +233,9 @@ def _hats(trial: FitTrial, segmentation: Segmentation, curve: Curve, t: FloatArr
     corners = np.linspace(0.0, 1.0, _HATS)
     for k in range(_HATS):
         hats[k, inside] = np.maximum(1.0 - np.abs(along - corners[k]) * (_HATS - 1), 0.0)
+    if (curve.channel, curve.phase) == ('force', 'recover') and inside.any():
+        # The level beside that before the push is also that of friction, or of the tool's weight.
+        hats[:, inside] -= hats[:, inside].mean(axis=1, keepdims=True)
     return hats
 
 

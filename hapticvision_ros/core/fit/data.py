@@ -61,6 +61,9 @@ _ASTRAY: Final = 12.0
 """What a height is beyond both its neighbours by, over the noise, from which on it is a glitch."""
 _LONE: Final = 2.5
 """Samples beside an event in which one that is alone may be what the object does."""
+_ON_LINE: Final = 0.1
+"""What those beside it are off a straight line by, over what it is beyond them."""
+_NEXT: Final = np.array([-2.0, -1.0, 1.0, 2.0])
 _LONE_STEPS: Final = 12.0
 """Standard deviations of rounding beyond its neighbours from which on a force may be alone."""
 _LONGEST_GLITCH: Final = 16
@@ -908,9 +911,13 @@ def _lone(
     if not lone.any():
         return lone
     lone &= beyond > _LONE_STEPS * rounding(force.value)
-    change = np.abs(force.value[2:] - force.value[:-2])
-    beside = np.maximum(beyond[2:], beyond[:-2])
-    lone[1:-1] &= np.maximum(change, 2.0 * beside) < 0.5 * beyond[1:-1]
+    # The two before and the two after are on one line.
+    value = force.value
+    beside = np.stack((value[:-4], value[1:-3], value[3:-1], value[4:]))
+    slope = (_NEXT @ beside) / float(_NEXT @ _NEXT)
+    miss = np.abs(beside - beside.mean(axis=0) - slope * _NEXT[:, np.newaxis]).max(axis=0)
+    lone[:2] = lone[-2:] = False
+    lone[2:-2] &= miss < np.maximum(_ON_LINE * beyond[2:-2], 3.0 * noise)
     # A sticky object lets go at once.
     if phases.t_release is not None:
         lone &= force.t < phases.t_release

@@ -143,7 +143,8 @@ def triangle(rows: FloatArray) -> FloatArray:
     Parameters
     ----------
     rows : ndarray, shape (p, m)
-        The p columns of the matrix, one after another; they are overwritten.
+        The p columns of the matrix, one after another, whose squares are finite; they are
+        overwritten.
 
     Returns
     -------

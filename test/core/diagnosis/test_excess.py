@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.excess import bursts, Excess, louder
+from hapticvision_ros.core.diagnosis.excess import _held, bursts, Excess, louder
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
 from hapticvision_ros.sim.specimen import Undeclared
@@ -168,3 +168,14 @@ def test_a_few_heights_in_each_trial_are_held_against_their_noise_together(
         found.append(louder(base, measured.phases))
     assert found[0] == ()
     assert [each.channel for each in found[1]] == ['displacement height']
+
+
+def test_one_sample_that_is_astray_is_no_trial_that_is_louder() -> None:
+    random = np.random.default_rng(9)
+    quiet, loud = random.standard_normal((2, 400))
+    parts = [('a', quiet, loud), ('b', np.empty(0), np.array([6.0]))]
+    assert _held('force', parts, 1.0, 1e-6, memory=0.0) is None
+    louder_one = [*parts, ('c', np.empty(0), 2.5 * random.standard_normal(60))]
+    found = _held('force', louder_one, 1.0, 1e-6, memory=0.0)
+    assert found is not None
+    assert found.trial == 'c'

@@ -218,6 +218,16 @@ def test_the_limit_of_the_scatter_is_above_it_as_often_as_it_says(slope: float) 
     assert 0.65 < np.mean(above) < 0.85
 
 
+QUIET = 1e-8
+"""Variance of what noise makes of a trial's factor."""
+
+
+def block(factors: Any, groups: Any, noise: Any = QUIET) -> Any:
+    """Return the trials that differ, of pushes a minute apart."""
+    count = factors.size
+    return _block(factors, np.full(count, 1.0) * noise, np.arange(count) * 60.0, groups)
+
+
 @pytest.mark.parametrize('groups', [[[0, 1, 2, 3, 4]], [[0, 2, 4, 6], [1, 3, 5, 7]]])
 def test_trials_one_after_another_that_differ_from_all_others_are_no_scatter(
     groups: list[list[int]],
@@ -226,29 +236,52 @@ def test_trials_one_after_another_that_differ_from_all_others_are_no_scatter(
     count = sum(map(len, groups))
     changed = 2e-4 * random.standard_normal(count)
     changed[2:4] -= 0.08
-    found = _block(changed, np.arange(count) * 60.0, groups)
+    found = block(changed, groups)
     assert found is not None
     assert found.change == pytest.approx(np.expm1(-0.08), abs=2e-3)
     assert (found.first, found.last) == (2, 3)
     assert found.rest < 1e-3
     # Scatter puts them so by chance once in a thousand campaigns.
-    times = np.arange(count) * 60.0
-    chance = [_block(0.02 * random.standard_normal(count), times, groups) for _ in range(300)]
+    chance = [block(0.02 * random.standard_normal(count), groups) for _ in range(300)]
+    assert sum(each is not None for each in chance) <= 3
+
+
+def test_trials_that_tell_little_are_no_block_because_they_are_off() -> None:
+    """Shallow pushes after deep ones, each with its noise: by scatter of one size 5 %."""
+    random = np.random.default_rng(8)
+    std = np.array([1e-4] * 6 + [1e-3] * 4)
+    groups = [list(range(6)), list(range(6, 10))]
+    chance = [block(std * random.standard_normal(10), groups, std**2) for _ in range(400)]
     assert sum(each is not None for each in chance) <= 3
 
 
 def test_what_changed_once_is_said_of_the_fewer_trials() -> None:
     factors = np.array([0.05, 0.0501, 0.0, 0.0001, -0.0001, 0.0])
-    found = _block(factors, np.arange(6) * 60.0, [list(range(6))])
+    found = block(factors, [list(range(6))])
     assert found is not None
     assert (found.first, found.last) == (0, 1)
     assert found.change == pytest.approx(0.0513, abs=1e-3)
     # The order of the bags does not matter.
-    found = _block(factors[::-1].copy(), np.arange(6)[::-1] * 60.0, [list(range(6))])
+    times = np.arange(6)[::-1] * 60.0
+    found = _block(factors[::-1].copy(), np.full(6, QUIET), times, [list(range(6))])
     assert found is not None
     assert (found.first, found.last) == (5, 4)
 
 
-def test_a_single_trial_that_differs_is_scatter() -> None:
+def test_a_single_trial_that_differs_is_scatter_and_none_that_does_is_nothing() -> None:
     factors = np.array([0.0, 0.0001, 0.05, -0.0001, 0.0002, 0.0])
-    assert _block(factors, np.arange(6) * 60.0, [list(range(6))]) is None
+    assert block(factors, [list(range(6))]) is None
+    assert block(0.0 * factors, [list(range(6))]) is None
+
+
+def test_a_change_between_two_trials_is_told_from_a_steady_one(
+    repeated: Callable[..., Any],
+) -> None:
+    """Both go with time: the four trials of the second half, by the gain of the load cell."""
+    _, found = repeated(Undeclared('gain_step', (0.08,)))
+    assert found.block is not None
+    # Of as many, those before are as good.
+    assert (found.block.first, found.block.last) in {(0, 3), (4, 7)}
+    assert abs(found.block.change) == pytest.approx(0.08, abs=0.01)
+    _, found = repeated(Undeclared('ageing', (-1.0,)))
+    assert found.block is None

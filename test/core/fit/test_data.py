@@ -559,6 +559,17 @@ def test_one_force_alone_near_a_touch_is_a_glitch(away: int, samples: int, aside
     assert made.set_aside.tolist() == pytest.approx(expected)
 
 
+def test_the_lowest_force_of_a_slip_is_no_glitch() -> None:
+    """It comes back at once, and does not go there so."""
+    trial = _trial()
+    value = trial.force.value.copy()
+    touch = int(np.argmax(value > 2.5))
+    value[touch + 5 : touch + 7] -= (0.5, 1.6)
+    (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
+    assert made is not None
+    assert made.set_aside.size == 0
+
+
 def test_what_lets_go_at_once_is_no_glitch() -> None:
     """Near the loss of contact a sticky object pulls for a sample."""
     trial = _trial()
