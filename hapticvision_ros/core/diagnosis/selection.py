@@ -115,6 +115,9 @@ class Trialled:
     in_height, height_score : float
         The strength in the displacement height alone, whose samples are few beside the force's,
         and what of the score these tell; that is zero where the heights show nothing of it.
+    sure : float
+        What it lowers the squares by where the arm's motion is seen, if the moments of jumps are
+        known as well without it; infinite where it lasts for longer than a sample.
 
     """
 
@@ -127,6 +130,7 @@ class Trialled:
     stop: float = 0.0
     in_height: float = 0.0
     height_score: float = 0.0
+    sure: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,20 +397,24 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
     score = max(without.deviance - refit.deviance, 0.0)
     gain = score - price(bench, effect)
     release = stop = 0.0
+    sure = math.inf
     if gain > GATE:
         brief = fleeting(bench, refit, effect)
         shown, local = _stops_shown(bench, without, refit)
         if brief or local:
-            before, after = (np.array(_unseen(bench, r, shown)) for r in (without, refit))
-            release, stop = np.maximum(before - after, 0.0).tolist()
+            before, after = (np.array(_by_place(bench, r, shown, r)) for r in (without, refit))
+            release, stop = np.maximum(before - after, 0.0)[:2].tolist()
             # How the tool leaves is no less than how it is held, but for what is over at once.
             release = release if brief else 0.0
+            if brief:
+                # What only has other moments known better, by a trial that no model follows.
+                sure = _by_place(bench, without, shown, refit)[2] - float(after[2])
     in_height = strength_in_height(bench, refit, without)
     told = 0.0
     if in_height > WEAKEST or _is_quick(effect):
         told = _told_by_heights(bench, without) - _told_by_heights(bench, refit)
     size = strength(bench, refit, without)
-    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told)
+    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told, sure)
 
 
 def _told_by_heights(bench: Workbench, refit: Refit) -> float:
@@ -461,21 +469,25 @@ def _moment_error(trial: FitTrial) -> float:
     return near[0] if near else trial.path.interval
 
 
-def _unseen(bench: Workbench, refit: Refit, shown: Sequence[bool]) -> tuple[float, float]:
+def _by_place(
+    bench: Workbench, refit: Refit, shown: Sequence[bool], like: Refit
+) -> tuple[float, float, float]:
     """
-    Return the parts of the deviance that are told where the arm's motion is not seen well enough.
+    Return the parts of the force's deviance by how well the arm's motion is seen.
 
-    The first is the start of the releases, where the way within a sample decides when the tool
-    leaves; the second the stops that are not `shown`, one for each trial.
+    The first is told by the start of the releases, where the way within a sample decides when the
+    tool leaves; the second by the stops that are not `shown`, one for each trial, with all of a
+    short push; the last by all else. The noise and the moments of jumps are those of `like`.
     """
-    release = stop = 0.0
-    filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
+    release = stop = seen = 0.0
+    filters = bench.whiteners(like.force_noise, like.height_noise, like.jumps)
     for index, (trial, (white, _)) in enumerate(zip(bench.trials, filters, strict=True)):
         residual, _ = bench.residual(refit.problem, refit.state, index)
         told = white.weight > 0.0
         parts = np.zeros(told.size)
         parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
         parts[told] -= 2.0 * np.log(white.weight[told])
+        seen += float(parts.sum())
         if trial.t_release is not None and not _withdrawal_shown(trial):
             stops = [bend.stop for bend in trial.path.bends if bend.stop > trial.t_release]
             first = trial.t_release - _BESIDE * trial.interval
@@ -484,8 +496,13 @@ def _unseen(bench: Workbench, refit: Refit, shown: Sequence[bool]) -> tuple[floa
             last = max([least, *stops[:1]]) + _BESIDE * trial.interval
             release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
         if not shown[index]:
-            stop += float(parts[_about(trial, trial.t_stop)].sum())
-    return release, stop
+            unseen = _about(trial, trial.t_stop)
+            if trial.t_stop - trial.t_contact < 2.0 * _RESOLVED * trial.path.interval:
+                # The tool may slow down at the touch already.
+                first = trial.t_contact - _RESOLVED * trial.path.interval
+                unseen |= (trial.middle > first) & (trial.middle < trial.t_stop)
+            stop += float(parts[unseen].sum())
+    return release, stop, seen - release - stop
 
 
 def candidates_for(model: Model, names: Sequence[str]) -> list[str]:
@@ -721,7 +738,7 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
 
 def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) -> bool:
     """Return whether a candidate is seen to draw jumps out, over less than a sample."""
-    if each.refit is None or gain <= _QUICK_GATE or each.strength <= weakest:
+    if each.refit is None or min(gain, each.sure) <= _QUICK_GATE or each.strength <= weakest:
         return False
     # What is over at once only changes what a jump is said to be.
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0

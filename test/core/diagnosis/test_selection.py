@@ -90,6 +90,8 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [general], (0.0, 0.0)) == [general]
     strong = replace(weak, strength=0.2)
     assert _good(bench, [strong, general], (0.0, 0.0)) == [strong, general]
+    # Nor is what only has the moments of jumps known better.
+    assert _good(bench, [replace(strong, sure=15.0)], (0.0, 0.0)) == []
     # Nor is what the start of the release alone tells, in which a sample is too long.
     assert _good(bench, [replace(strong, release=210.0)], (0.0, 0.0)) == []
     assert drawn_out(bench, [replace(strong, release=210.0)]) == ()
