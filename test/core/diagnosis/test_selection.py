@@ -21,11 +21,11 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.selection import (
+    _by_place,
     _good,
     _near,
     _sharper,
     _shown,
-    _unseen,
     _withdrawal_shown,
     drawn_out,
     fleeting,
@@ -172,7 +172,8 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
         )
         for t in bench.trials
     ]
-    release, stop = _unseen(Workbench(hidden, None, bench.memory), base, shown)
+    hiding = Workbench(hidden, None, bench.memory)
+    release, stop, seen = _by_place(hiding, base, shown, base)
     # The encoders show the stop of the quick push, and not that of the slow one.
     assert sum(shown) == 1
     assert release != 0.0 and stop != 0.0
@@ -182,13 +183,40 @@ def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:
         for trial, end in zip(bench.trials, ends, strict=True)
     ]
     # A release that lasts for the whole trial tells all of what the force tells.
-    release, _ = _unseen(Workbench(late, None, bench.memory), base, shown)
+    release, *_ = _by_place(Workbench(late, None, bench.memory), base, shown, base)
     told = 0.0
     filters = bench.whiteners(base.force_noise, base.height_noise, base.jumps)
     for index, (white, _) in enumerate(filters):
         residual, _ = bench.residual(base.problem, base.state, index)
         told += float(np.sum(white(residual[np.newaxis])[0] ** 2)) + white.log_determinant
     assert release == pytest.approx(told, rel=1e-9)
+    # Nothing is lost between the parts.
+    whole = _by_place(bench, base, [True, True], base)
+    assert sum(_by_place(hiding, base, shown, base)) == pytest.approx(sum(whole))
+    assert seen != 0.0
+
+
+@pytest.mark.parametrize(('samples', 'seen'), [(6.0, False), (8.0, True)])
+def test_a_push_of_few_samples_of_the_encoders_is_not_seen_from_its_touch_on(
+    world: Any, samples: float, seen: bool
+) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=250.0), seed=1).bench()
+    state = base.state.copy()
+    for place in base.problem.places:
+        state[place.start] += 2e-4
+    off = replace(base, state=state)
+    slow = []
+    for t in bench.trials:
+        interval = (t.t_stop - t.t_contact) / samples
+        slow.append(replace(t, path=replace(t.path, bends=(), interval=interval)))
+    parts = [
+        _by_place(Workbench(slow, None, bench.memory), each, [False, False], base)
+        for each in (off, base)
+    ]
+    of_stops = parts[0][1] - parts[1][1]
+    of_all_else = parts[0][2] - parts[1][2]
+    assert (of_all_else > 10.0 * abs(of_stops)) == seen
+    assert (of_stops > 10.0 * abs(of_all_else)) != seen
 
 
 def test_how_the_arm_slows_down_in_the_air_does_not_show_how_it_stops(world: Any) -> None:
@@ -310,4 +338,4 @@ def test_a_withdrawal_that_the_encoders_follow_tells_what_acts_in_it(world: Any)
         assert _withdrawal_shown(told) == shown
     # Nothing of a release that is shown is left out of what counts.
     bench = Workbench([replace(trial, path=replace(trial.path, bends=(slow,)))], None)
-    assert _unseen(bench, base, [True])[0] == 0.0
+    assert _by_place(bench, base, [True], base)[0] == 0.0
