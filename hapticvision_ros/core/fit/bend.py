@@ -449,19 +449,62 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
     Servo or None
         None where the changes of speed differ by more than the encoders' noise, by Schwarz's
         criterion, or there are too few. Stops and the other changes may differ, and be alike
-        among themselves, or the stops alone.
+        among themselves, or the stops alone; where they differ only in how long they last, one
+        controller makes both.
 
     """
     worth = math.log(max(sum(corner.t.size for corner in corners), 1))
     whole = _alike(corners, shapes, worth)
-    parts = []
+    kinds = []
     for stops in (True, False):
         of = [k for k, corner in enumerate(corners) if corner.is_stop == stops]
-        parts.append(_alike([corners[k] for k in of], [shapes[k] for k in of], worth))
-    (cost, stopped), (other_cost, others) = parts
-    if stopped is None or (whole[1] is not None and whole[0] <= cost + other_cost):
+        kinds.append(([corners[k] for k in of], [shapes[k] for k in of]))
+    (cost, stopped), (other_cost, others) = (_alike(*kind, worth) for kind in kinds)
+    cost += other_cost
+    if min(len(kind) for kind, _ in kinds) >= _FEWEST:
+        left, first, second = _kindred(*(_largest(*kind) for kind in kinds))
+        if left + 4 * worth < cost:
+            cost, stopped, others = left + 4 * worth, first, second
+    if stopped is None or (whole[1] is not None and whole[0] <= cost):
         return whole[1]
     return replace(stopped, stops=True, others=others)
+
+
+def _kindred(
+    stops: tuple[list[Corner], list[Shape]], others: tuple[list[Corner], list[Shape]]
+) -> tuple[float, Servo, Servo]:
+    """Return how one controller makes stops, and others that last otherwise; what that leaves."""
+    usual = [
+        float(np.median([shape.duration for shape in shapes])) for _, shapes in (stops, others)
+    ]
+    scale = max(*usual, 1e-6)
+    lags = [shape.lag for _, shapes in (stops, others) for shape in shapes]
+
+    def servos(x: FloatArray) -> tuple[Servo, Servo]:
+        first, second = (
+            _servo(np.array([size, x[2], x[3]]), even=False, usual=max(each, 1e-6), scale=scale)
+            for size, each in zip(x[:2], usual, strict=True)
+        )
+        return first, second
+
+    def cost(x: FloatArray) -> float:
+        if np.any(x[2:] < 0.0) or np.any(np.abs(x[:2]) > _LONGEST):
+            return math.inf
+        made = servos(x)
+        return sum(told(of, servo) for (of, _), servo in zip((stops, others), made, strict=True))
+
+    start = np.array([0.0, 0.0, float(np.median(lags)) / scale, 0.5])
+    left, best = minimum(cost, start, np.array([0.3, 0.3, 0.3, 0.4]))
+    return left, *servos(best)
+
+
+def _largest(
+    corners: Sequence[Corner], shapes: Sequence[Shape]
+) -> tuple[list[Corner], list[Shape]]:
+    """Return the changes of speed that tell most, some of each size."""
+    order = np.argsort([-abs(corner.turn) / corner.noise for corner in corners])
+    chosen = order[np.unique(np.linspace(0, order.size - 1, _MOST).round().astype(int))].tolist()
+    return [corners[k] for k in chosen], [shapes[k] for k in chosen]
 
 
 def _alike(
@@ -475,11 +518,7 @@ def _alike(
     """
     if len(corners) < _FEWEST:
         return sum(c.deviance(s) for c, s in zip(corners, shapes, strict=True)), None
-    # The largest changes of speed tell most, some of each kind.
-    order = np.argsort([-abs(corner.turn) / corner.noise for corner in corners])
-    chosen = order[np.unique(np.linspace(0, order.size - 1, _MOST).round().astype(int))]
-    corners = [corners[k] for k in chosen.tolist()]
-    shapes = [shapes[k] for k in chosen.tolist()]
+    corners, shapes = _largest(corners, shapes)
     alone = sum(c.deviance(s) + 2.0 * worth for c, s in zip(corners, shapes, strict=True))
     lasts = np.array([shape.duration for shape in shapes])
     turns = np.abs([corner.turn for corner in corners])

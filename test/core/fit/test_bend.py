@@ -157,3 +157,18 @@ def test_stops_and_withdrawals_may_each_be_alike() -> None:
     stop = servo.shape(-SPEEDS[0])
     assert stop.duration + 2.0 * stop.lag == pytest.approx(0.11, rel=0.3)
     assert {servo.of(corner) for corner in corners} == {servo, servo.others}
+
+
+def test_one_controller_makes_stops_and_withdrawals_that_last_otherwise() -> None:
+    """Quick withdrawals show the lag and how the acceleration comes, which slow stops do not."""
+    soft = Shape(0.08, 0.05, 0.007)
+    brief = Shape(0.06, 0.0375, 0.007)
+    off = []
+    for released in ([brief] * 4, [Shape(0.06, 0.0, 0.02)] * 4):
+        servo, corners = arm_of(_campaign([soft] * 4, 2e-6, released))
+        assert servo is not None and servo.others is not None
+        assert len(corners) >= 8
+        alike = servo.lag == servo.others.lag and servo.jerk == servo.others.jerk
+        assert alike == (released[0] == brief)
+        off.append(abs(servo.shape(-SPEEDS[0]).duration / soft.duration - 1.0))
+    assert off[0] < 0.05
