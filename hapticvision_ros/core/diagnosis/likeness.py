@@ -111,8 +111,9 @@ class Tangent:
             force, height = problem.records(base.state, index)
             rows = self._white(index, force[:-1], height[:-1])
             block = np.zeros((problem.size, rows.shape[1]))
-            block[: problem.p] = rows[: problem.p]
-            block[place] = rows[problem.p :]
+            shared, own = np.split(rows, [problem.p])
+            block[: problem.p] = shared
+            block[place] = own
             blocks.append(block)
         prior, _ = problem.priors(base.state)
         self._priors = prior.shape[0]

@@ -407,7 +407,8 @@ def _contrasts(
     """Return the blocks that repeats can show, and what one of size one does to the members."""
     bounds, columns = list[tuple[int, int]](), list[FloatArray]()
     for i, first in enumerate(members):
-        for last in members[i + _SHORTEST_BLOCK - 1 :]:
+        later = i + _SHORTEST_BLOCK - 1
+        for last in members[later:]:
             column = np.zeros(int(members[-1]) + 1)
             for group in groups:
                 among = [index for index in group if first <= index <= last]

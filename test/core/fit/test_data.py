@@ -552,7 +552,7 @@ def test_one_force_alone_near_a_touch_is_a_glitch(away: int, samples: int, aside
     trial = _trial()
     value = trial.force.value.copy()
     touch = int(np.argmax(value > 2.5))
-    value[touch + away : touch + away + samples] += 0.5
+    value[touch + away + np.arange(samples)] += 0.5
     (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
     assert made is not None
     expected = trial.force.t[[touch + away]].tolist() if aside else []
@@ -564,7 +564,7 @@ def test_the_lowest_force_of_a_slip_is_no_glitch() -> None:
     trial = _trial()
     value = trial.force.value.copy()
     touch = int(np.argmax(value > 2.5))
-    value[touch + 5 : touch + 7] -= (0.5, 1.6)
+    value[touch + np.array([5, 6])] -= (0.5, 1.6)
     (made,), _ = prepare([(replace(trial, force=Signal(trial.force.t, value)), PHASES)])
     assert made is not None
     assert made.set_aside.size == 0
