@@ -24,12 +24,12 @@ from pathlib import Path
 import signal
 import sys
 
-from hapticvision_ros.threads import one_thread
-
 
 def main() -> int:
     """Run the node that the command is named after, and return the exit code of the process."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from hapticvision_ros.threads import one_thread
+
     one_thread()
     node = import_module(f'hapticvision_ros.nodes.{Path(sys.argv[0]).name}')
     code: int = node.main()

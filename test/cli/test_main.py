@@ -93,7 +93,7 @@ def test_an_interrupt_of_the_very_first_import_ends_with_130() -> None:
         [sys.executable, '-c', code], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stderr == 'hapticvision: interrupted.\n'
-    assert done.stdout == 'hapticvision_ros.cli.command\n'
+    assert done.stdout == 'hapticvision_ros.threads\n'
     assert done.returncode == INTERRUPTED
 
 
