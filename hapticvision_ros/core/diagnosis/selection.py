@@ -673,7 +673,8 @@ def _good(
             seen |= strongest[0] == 0.0 and each.gain > CERTAIN
             return (seen and _seen(each) > GATE) or heights_tell(each)
         # How a jump is drawn out does not matter to the heights.
-        if not _draws_out(bench, each, weakest, _seen(each)) and not heights_tell(each):
+        drawn = _draws_out(bench, each, weakest, min(_seen(each), each.sure))
+        if not drawn and not heights_tell(each):
             return False
         # What a simpler one tells as well is not there where that one is refused.
         simpler = [e for e in tried if e.effect in BY_NAME[each.effect].generalises]
@@ -732,13 +733,13 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
         each
         for each in tried
         if _draws_out(bench, each, WEAKEST, each.gain - each.release)
-        and not _draws_out(bench, each, WEAKEST, _seen(each))
+        and not _draws_out(bench, each, WEAKEST, min(_seen(each), each.sure))
     )
 
 
 def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) -> bool:
     """Return whether a candidate is seen to draw jumps out, over less than a sample."""
-    if each.refit is None or min(gain, each.sure) <= _QUICK_GATE or each.strength <= weakest:
+    if each.refit is None or gain <= _QUICK_GATE or each.strength <= weakest:
         return False
     # What is over at once only changes what a jump is said to be.
     return _AT_ONCE < _samples(bench, each.refit, each.effect) < 1.0

@@ -1587,7 +1587,7 @@ def _straight(t, value, weight):  # type: ignore[no-untyped-def]
     for i in range(t.size):
         away = t[i] - centre
         spread += weight[i] * away * away
-        joint += weight[i] * away * value[i]
+        joint += weight[i] * away * (value[i] - mean)
     slope = joint / spread if spread > 0.0 else 0.0
     return mean - slope * centre, slope, spread
 
