@@ -64,6 +64,7 @@ _LONE: Final = 2.5
 _ON_LINE: Final = 0.1
 """What those beside it are off a straight line by, over what it is beyond them."""
 _NEXT: Final = np.array([-2.0, -1.0, 1.0, 2.0])
+"""Where these are, in samples."""
 _LONE_STEPS: Final = 12.0
 """Standard deviations of rounding beyond its neighbours from which on a force may be alone."""
 _LONGEST_GLITCH: Final = 16

@@ -90,6 +90,9 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     assert _good(bench, [general], (0.0, 0.0)) == [general]
     strong = replace(weak, strength=0.2)
     assert _good(bench, [strong, general], (0.0, 0.0)) == [strong, general]
+    # What the heights tell of it is another matter.
+    seen = replace(weak, in_height=0.4, height_score=45.0)
+    assert _good(bench, [seen], (0.0, 0.0)) == [seen]
     # Nor is what only has the moments of jumps known better.
     assert _good(bench, [replace(strong, sure=15.0)], (0.0, 0.0)) == []
     # Nor is what the start of the release alone tells, in which a sample is too long.
@@ -339,3 +342,13 @@ def test_a_withdrawal_that_the_encoders_follow_tells_what_acts_in_it(world: Any)
     # Nothing of a release that is shown is left out of what counts.
     bench = Workbench([replace(trial, path=replace(trial.path, bends=(slow,)))], None)
     assert _by_place(bench, base, [True], base)[0] == 0.0
+
+
+def test_where_jumps_are_blunt_what_draws_them_out_is_refitted_whatever_it_promises(
+    noise_only: Any,
+) -> None:
+    bench, base = noise_only.bench()
+    for later in (0.1, 2.0):
+        without = replace(base, blur=Blur(base.blur.touch, later))
+        tried = {each.effect: each for each in try_all(bench, without, ['inertia', 'yield_force'])}
+        assert (tried['inertia'].refit is not None) == (later > 1.0)
