@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from hapticvision_ros.report.quantities import Unit, UnitSystem
 
 _MOST_NAMED: Final = 5
-_THREADS: Final = 2
-"""Threads of a diagnosis: the interpreter has one at a time beside the kernels."""
 _CLEAR_LINE: Final = '\r\x1b[K'
 _NEW_OBJECTS: Final = 100_000
 
@@ -187,7 +185,7 @@ def fit_bags(
             analyses[count:],
             model=model,
             progress=progress,
-            workers=min(_THREADS, len(os.sched_getaffinity(0))),
+            workers=len(os.sched_getaffinity(0)),
             bootstrap=bootstrap,
         )
 

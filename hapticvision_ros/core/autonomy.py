@@ -587,7 +587,7 @@ def look(
     progress : callable, optional
         Told what is being done.
     workers : int
-        Threads.
+        Processors.
 
     Returns
     -------

@@ -121,6 +121,10 @@ class Model:
         ordered = tuple(effect.name for effect in EVERY_LAW if effect.name in self.effects)
         object.__setattr__(self, 'effects', ordered)
 
+    def __reduce__(self) -> 'tuple[type[Model], tuple[tuple[str, ...]]]':
+        """Return how it is made anew: declarations hold functions, which are not sent."""
+        return Model, (self.effects,)
+
     @classmethod
     def parse(cls, name: str) -> 'Model':
         """

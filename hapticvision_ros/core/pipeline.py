@@ -189,7 +189,7 @@ def analyse_campaign(
     progress : callable, optional
         Told what is being done.
     workers : int
-        Threads.
+        Processors.
     bootstrap : int, default 0
         Campaigns without an effect that are simulated to tell what chance does in the diagnosis.
 
@@ -208,7 +208,7 @@ def analyse_campaign(
         return _nothing_fitted(trials, held_out, Model(), str(error))
     if diagnosis is not None and diagnosis.late:
         trials, held_out = (_earlier(each, diagnosis.late) for each in (trials, held_out))
-    return _compared(trials, held_out, before, after, diagnosis, warnings, tell)
+    return _compared(trials, held_out, before, after, diagnosis, warnings, tell, workers)
 
 
 def _earlier(trials: Sequence[TrialAnalysis], late: float) -> list[TrialAnalysis]:
@@ -268,6 +268,7 @@ def _compared(
     diagnosis: 'Diagnosis | None',
     warnings: Sequence[str],
     tell: Progress,
+    workers: int,
 ) -> CampaignAnalysis:
     """Return the analysis with how far the models miss the trials."""
     from hapticvision_ros.core.fit.held_out import (
@@ -287,7 +288,8 @@ def _compared(
         unseen, against = _predicted(trials, held_out, fits), held_out
     else:
         tell('leaving out each condition of the push in turn')
-        by, unseen, against = 'condition', _left_out(trials, fits, diagnosis), trials
+        by, against = 'condition', trials
+        unseen = _left_out(trials, fits, diagnosis, tell, workers)
     errors = [misfits(one.trials, against, noise) for one in unseen]
     if not any(errors):
         by, errors, unseen = None, [None] * len(fits), []
@@ -361,7 +363,11 @@ def _predicted(
 
 
 def _left_out(
-    trials: Sequence[TrialAnalysis], fits: 'Sequence[Fit]', diagnosis: 'Diagnosis | None'
+    trials: Sequence[TrialAnalysis],
+    fits: 'Sequence[Fit]',
+    diagnosis: 'Diagnosis | None',
+    tell: Progress,
+    workers: int,
 ) -> 'list[Unseen]':
     """Return each trial beside what models say of it that have not seen it."""
     from collections.abc import Collection
@@ -385,7 +391,10 @@ def _left_out(
         return [one for one in trained if one is not None]
 
     prepared = prepared_of(fits[-1])
-    return list(leave_one_condition_out(trials, refit, prepared, fits[-1].noise))
+    noise = fits[-1].noise
+    return list(
+        leave_one_condition_out(trials, refit, prepared, noise, progress=tell, workers=workers)
+    )
 
 
 def _why_nothing_is_held_out(

@@ -33,6 +33,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.scatter import conditions, measure
@@ -71,7 +72,7 @@ def bootstrap(
     progress : callable, optional
         Told of each.
     workers : int
-        Threads.
+        Processors.
 
     Returns
     -------
@@ -87,17 +88,22 @@ def bootstrap(
     assumed = found.after.problem.scatter if max(map(len, groups)) == 1 else np.empty(0)
     base, drawn = _base(found.before, found.before.problem.trials, groups, assumed)
     measured = _gain_found(found)
-    alarms = as_large = 0
-    for number in range(1, campaigns + 1):
-        if progress is not None:
-            progress(f'bootstrap {number} of {campaigns}')
-        random = np.random.default_rng((_SEED, number))
-        made = simulated(base, drawn, random)
+
+    def first(number: int) -> tuple[bool, float]:
+        """Return whether an effect is accepted in a simulated campaign, and what it gains."""
+        made = simulated(base, drawn, np.random.default_rng((_SEED, number)))
         start, _ = _base(found.before, made, groups, assumed)
         bench = Workbench(made, start.problem.scatter if start.problem.scatter.size else None)
-        _, rounds = select(bench, start, names, workers=workers)
-        alarms += bool(rounds[0].alike)
-        as_large += _gain(rounds[0]) >= measured
+        _, rounds = select(bench, start, names)
+        return bool(rounds[0].alike), _gain(rounds[0])
+
+    alarms = as_large = 0
+    numbers = range(1, campaigns + 1)
+    for number, (alarm, gain) in enumerate(parallel.each(first, numbers, workers), start=1):
+        if progress is not None:
+            progress(f'bootstrap {number} of {campaigns}')
+        alarms += alarm
+        as_large += gain >= measured
     return Bootstrap(campaigns, alarms, (1 + as_large) / (campaigns + 1))
 
 

@@ -173,7 +173,25 @@ class Smooth:
     height: tuple[FloatArray, ...]
 
 
-type _Look = tuple[Problem, list[tuple[float, FloatArray]]]
+@dataclass(frozen=True, slots=True)
+class Look:
+    """
+    A model with more effects, before it is refitted.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the model, at the noise of the refit without them.
+    starts : tuple of ndarray
+        States to search from, the best first; empty where the model cannot be evaluated.
+    promise : float
+        By how much one step of the search from the best of them promises to lower the squares.
+
+    """
+
+    problem: Problem
+    starts: tuple[FloatArray, ...]
+    promise: float
 
 
 class Workbench:
@@ -200,9 +218,7 @@ class Workbench:
         self.trials = tuple(trials)
         self.scatter = scatter
         self.memory = longest_memory(trials) if memory is None else memory
-        self._near: Refit | None = None
-        self._scale: Scale | None = None
-        self._looks: dict[tuple[str, ...], _Look] = {}
+        self._scale: tuple[Refit, Scale] | None = None
         self.samples_of = tuple(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -227,7 +243,7 @@ class Workbench:
         problem.set_noise(found.force_noise, found.height_noise, problem.unsure(state, found.blur))
         return self._settled(problem, state, found.force_noise, found.height_noise, found.blur)
 
-    def refit(self, model: Model, near: Refit) -> Refit | None:
+    def refit(self, model: Model, near: Refit, looked: Look | None = None) -> Refit | None:
         """
         Fit a model, starting from a part of it or from one with more effects.
 
@@ -237,6 +253,8 @@ class Workbench:
             What to fit.
         near : Refit
             Where to start.
+        looked : Look, optional
+            What `look` has found for the same two.
 
         Returns
         -------
@@ -244,11 +262,9 @@ class Workbench:
             The best that was found; None where the model cannot be evaluated.
 
         """
-        problem, promised = self._look(model, near)
-        if not promised:
-            return None
-        ends = []
-        for _, state in promised[:_BEST]:
+        look = self.look(model, near) if looked is None else looked
+        problem, ends = look.problem, []
+        for state in look.starts:
             with contextlib.suppress(ValueError):
                 ends.append(
                     minimise(
@@ -267,35 +283,23 @@ class Workbench:
         begin = in_order(problem, best.theta, dict(zip(names, values.tolist(), strict=True)))
         return self._settled(problem, begin, near.force_noise, near.height_noise, near.blur)
 
-    def promise(self, model: Model, near: Refit) -> float:
+    def look(self, model: Model, near: Refit) -> Look:
         """
-        Return by how much one step of the search promises to lower the squares of a refit.
+        Return where to begin with a model, and what one step of the search promises.
 
         Parameters
         ----------
         model : Model
-            A model with more effects.
+            A model with more effects, or fewer.
         near : Refit
-            The refit without them.
+            The refit without them, whose noise is taken.
 
         Returns
         -------
-        float
-            The best promise from any of the starts, at the noise of `near`; minus infinity where
-            the model cannot be evaluated.
+        Look
+            The starts that promise most.
 
         """
-        problem, promised = self._look(model, near)
-        self._looks[model.effects] = problem, promised[:_BEST]
-        return near.cost - promised[0][0] if promised else -math.inf
-
-    def _look(self, model: Model, near: Refit) -> '_Look':
-        """Return the problem of a model, and starts with the squares they promise, best first."""
-        self._stand_at(near)
-        # What has promised something is refitted from the very same starts.
-        known = self._looks.pop(model.effects, None)
-        if known is not None:
-            return known
         problem = Problem(model, self.trials, self.scatter)
         problem.set_noise(near.force_noise, near.height_noise, near.jumps)
         begin = carried(near.problem, near.state, problem)
@@ -303,18 +307,14 @@ class Workbench:
         added = [name for name in model.effects if name not in near.model.effects]
         if added:
             states = self._starts(problem, begin, near, added)
-        promised = []
+        left = []
         for state in states:
             residual, jacobian = problem.evaluate(state)
             if np.isfinite(residual).all():
-                promised.append((_promise(residual, jacobian), state))
-        promised.sort(key=lambda each: each[0])
-        return problem, promised
-
-    def _stand_at(self, near: Refit) -> None:
-        """Forget what is known beside another refit."""
-        if self._near is not near:
-            self._near, self._scale, self._looks = near, None, {}
+                left.append((_promise(residual, jacobian), state))
+        left.sort(key=lambda each: each[0])
+        promise = near.cost - left[0][0] if left else -math.inf
+        return Look(problem, tuple(state for _, state in left[:_BEST]), promise)
 
     def residual(
         self, problem: Problem, state: FloatArray, index: int
@@ -470,8 +470,7 @@ class Workbench:
     ) -> list[FloatArray]:
         """Return states with several strengths of the added effects."""
         model = problem.model
-        K1, C1, C2 = near.model.values(near.theta)[: len(BASE_PARAMETERS)]
-        scale = self.scale(near, K1, C1, C2)
+        scale = self.scale(near)
         guess = model.values(model.first_guess(scale))
         new = places_of(model, added)
         neutral = np.array([model.parameters[k].neutral for k in new])
@@ -507,13 +506,13 @@ class Workbench:
             turn_phases(problem, state)
         return states
 
-    def scale(self, near: Refit, K1: float, C1: float, C2: float) -> Scale:
+    def scale(self, near: Refit) -> Scale:
         """Return what the campaign looks like beside a refit."""
-        self._stand_at(near)
-        scale = self._scale
-        if scale is None:
-            scale = self._scale = scale_of(near.problem, near.state, K1, C1, C2)
-        return scale
+        known = self._scale
+        if known is None or known[0] is not near:
+            values = near.model.values(near.theta)[: len(BASE_PARAMETERS)].tolist()
+            known = self._scale = near, scale_of(near.problem, near.state, *values)
+        return known[1]
 
     def _settled(
         self,

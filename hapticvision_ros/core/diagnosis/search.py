@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
 from hapticvision_ros.core.diagnosis.excess import Bursts, bursts, Excess, louder
@@ -123,7 +124,7 @@ def diagnose(
     progress : callable, optional
         Told what is being looked at.
     workers : int
-        Threads.
+        Processors.
     limits : PushLimits, optional
         What the cell can do, for the push to make next.
     dated : bool
@@ -179,7 +180,7 @@ def diagnose(
             ),
         )
     if (outcome.effects or outcome.rest) and servo is None:
-        otherwise = _otherwise(trials, prepared, before, outcome)
+        otherwise = _otherwise(trials, prepared, before, outcome, workers)
         if otherwise is not None:
             tell('trying another way of the arm to change its speed')
             arm, better = otherwise
@@ -244,6 +245,7 @@ def _otherwise(
     prepared: Sequence[FitTrial | None],
     before: Fit,
     outcome: '_Outcome',
+    workers: int,
 ) -> tuple[Servo, bool] | None:
     """
     Return how the arm may change its speed so that fewer effects, or none, explain the forces.
@@ -268,46 +270,44 @@ def _otherwise(
     reached = _worth(bench, outcome.chosen)
     if rest and not outcome.effects:
         reached -= rest[0].gain
-    for arm in arms:
-        start = told(corners, arm)
-        for each in outcome.rounds:
-            if not each.alike and (outcome.effects or not rest):
-                break
-            if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
-                break
-            smaller = each.without.as_fit(before)
-            paid = sum(price(bench, name) for name in smaller.model.effects)
-            least = _worth(bench, each.without)
+    smaller = list[Refit]()
+    for each in outcome.rounds:
+        if not each.alike and (outcome.effects or not rest):
+            break
+        if outcome.effects and len(each.without.model.effects) >= len(outcome.effects):
+            break
+        smaller.append(each.without)
 
-            def cost(
-                x: FloatArray,
-                arm: Servo = arm,
-                start: float = start,
-                smaller: Fit = smaller,
-                paid: float = paid,
-            ) -> float:
-                tried = arm.changed(*x.tolist())
-                moved = Workbench(along(trials, prepared, tried), scatter, memory)
-                found = moved.base(smaller)
-                return found.deviance + paid + told(corners, tried) - start
+    def better(tried: tuple[Servo, Refit]) -> tuple[Servo, bool] | None:
+        arm, without = tried
+        near, start = without.as_fit(before), told(corners, arm)
+        paid = sum(price(bench, name) for name in without.model.effects)
 
-            # What a little of each change would take out shows whether to look further, where
-            # jumps are not taken to come at any moment.
-            little = [
-                _moved(bench, each.without, along(trials, prepared, arm.changed(*step)))
-                for step in (_LITTLE * _ARM_STEPS).tolist()
-            ]
-            columns = [
-                Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
-                for of in zip(*little, strict=True)
-            ]
-            promised = bench.smooth(each.without, columns, again=False).gain
-            if promised < _PROMISING * (least - reached) and each.without.blur.later < BLUNT:
-                continue
-            left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
-            if left < reached + LEAD:
-                return arm.changed(*x.tolist()), left < reached - LEAD
-    return None
+        def cost(x: FloatArray) -> float:
+            other = arm.changed(*x.tolist())
+            found = Workbench(along(trials, prepared, other), scatter, memory).base(near)
+            return found.deviance + paid + told(corners, other) - start
+
+        # What a little of each change would take out shows whether to look further, where jumps
+        # are not taken to come at any moment.
+        little = [
+            _moved(bench, without, along(trials, prepared, arm.changed(*step)))
+            for step in (_LITTLE * _ARM_STEPS).tolist()
+        ]
+        columns = [
+            Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
+            for of in zip(*little, strict=True)
+        ]
+        promised = bench.smooth(without, columns, again=False).gain
+        least = _worth(bench, without)
+        if promised < _PROMISING * (least - reached) and without.blur.later < BLUNT:
+            return None
+        left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
+        return (arm.changed(*x.tolist()), left < reached - LEAD) if left < reached + LEAD else None
+
+    jobs = [(arm, without) for arm in arms for without in smaller]
+    found = parallel.each(better, jobs, workers)
+    return next((each for each in found if each is not None), None)
 
 
 def _moved(bench: Workbench, found: Refit, trials: Sequence[FitTrial]) -> list[Columns]:
@@ -552,10 +552,10 @@ class _Search:
             base,
             names,
             workers=self.workers,
-            progress=lambda name: self.tell(f'trying {name}'),
+            progress=self.tell,
             known=known,
         )
-        chosen, order = eliminate(bench, chosen, rounds)
+        chosen, order = eliminate(bench, chosen, rounds, workers=self.workers)
         return chosen, rounds, order
 
     def _further(
@@ -605,10 +605,13 @@ class _Search:
         best, size = below, None
         least, worse = near.deviance, 0
         known = 0.0 if bench.scatter is None else float(bench.scatter.max())
-        for each in _SCATTERS:
-            if each <= known:
-                continue
-            refit = bench.scattering(np.full(3, each)).refit(near.model, near)
+        sizes = [each for each in _SCATTERS if each > known]
+
+        def scattering(each: float) -> Refit | None:
+            return bench.scattering(np.full(3, each)).refit(near.model, near)
+
+        refits = parallel.each(scattering, sizes, self.workers, bench.trials)
+        for each, refit in zip(sizes, refits, strict=True):
             if refit is None:
                 continue
             if refit.deviance < best:

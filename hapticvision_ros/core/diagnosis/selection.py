@@ -29,13 +29,13 @@ very strong evidence, one of six strong).
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
 from typing import Final
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.diagnosis.refit import Look, Refit, Workbench
 from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import without_law
 from hapticvision_ros.core.fit.campaign import Problem, SHARPEST
@@ -291,9 +291,9 @@ def try_all(
     closely : bool
         Whether those that may come first are searched for longer.
     workers : int
-        Threads.
+        Processors.
     progress : callable, optional
-        Told of each candidate.
+        Told what is being done.
 
     Returns
     -------
@@ -302,37 +302,58 @@ def try_all(
 
     """
 
-    def look(name: str) -> float:
-        return bench.promise(Model((*without.model.effects, name)), without)
-
-    def one(name: str, *, promising: bool = False) -> Trialled:
+    def tell(what: str) -> None:
         if progress is not None:
-            progress(name)
+            progress(what)
+
+    def look(name: str) -> Look:
+        return bench.look(Model((*without.model.effects, name)), without)
+
+    def one(name: str) -> Trialled:
         model = Model((*without.model.effects, name))
-        worth = price(bench, name)
-        promised = promises[name]
-        if not promising and (promised < worth / 3.0 or promised < least):
-            return Trialled(name, max(promised, 0.0), max(promised, 0.0) - worth, 0.0, None)
-        refit = bench.refit(model, without)
+        refit = bench.refit(model, without, looks[name])
         if refit is None:
-            return Trialled(name, 0.0, -worth, 0.0, None)
+            return Trialled(name, 0.0, -price(bench, name), 0.0, None)
         return _trialled(bench, without, name, refit)
 
-    with ThreadPoolExecutor(workers) as pool:
-        promises = dict(zip(names, pool.map(look, names), strict=True))
-        least = sorted(promises.values(), reverse=True)[:most][-1] if names else 0.0
-        tried = list(pool.map(one, names))
-        best = max(tried, key=lambda each: (each.refit is not None, each.gain), default=None)
-        found = best is not None and best.gain > GATE and _is_quick(best.effect)
-        if found or without.blur.later > BLUNT:
-            # Jumps of moments that are not known promise nothing to some that draw them out.
-            missed = [each for each in tried if each.refit is None and _is_quick(each.effect)]
-            again = {each.effect: one(each.effect, promising=True) for each in missed}
-            tried = [again.get(each.effect, each) for each in tried]
+    def refitted(chosen: Sequence[str]) -> list[Trialled]:
+        found = []
+        for each in parallel.each(one, chosen, workers, bench.trials):
+            tell(f'fitted with {each.effect}')
+            found.append(each)
+        return found
+
+    def promised(name: str) -> Trialled:
+        promise = max(looks[name].promise, 0.0)
+        return Trialled(name, promise, promise - price(bench, name), 0.0, None)
+
+    # What every start asks for is looked at once, and not by each worker.
+    bench.scale(without)
+    looks = dict[str, Look]()
+    for name, found in zip(names, parallel.each(look, names, workers, bench.trials), strict=True):
+        tell(f'trying {name}')
+        looks[name] = found
+    least = sorted((each.promise for each in looks.values()), reverse=True)[:most]
+    worthy = [
+        name for name in names if looks[name].promise >= max(price(bench, name) / 3.0, least[-1])
+    ]
+    tried = refitted(worthy)
+    best = max(tried, key=lambda each: (each.refit is not None, each.gain), default=None)
+    drawn = best is not None and best.gain > GATE and _is_quick(best.effect)
+    missed = [name for name in names if name not in worthy]
+    if drawn or without.blur.later > BLUNT:
+        # Jumps of moments that are not known promise nothing to some that draw them out.
+        tried += refitted([name for name in missed if _is_quick(name)])
+    known = {each.effect for each in tried}
+    tried += [promised(name) for name in names if name not in known]
     # What was refitted comes before what only promised something.
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
     if closely:
-        tried[:_CONTEST] = [_closer(bench, without, each) for each in tried[:_CONTEST]]
+
+        def closer(each: Trialled) -> Trialled:
+            return _closer(bench, without, each)
+
+        tried[:_CONTEST] = parallel.each(closer, tried[:_CONTEST], workers, bench.trials)
     return tuple(sorted(tried, key=lambda each: (each.refit is None, -each.gain)))
 
 
@@ -536,9 +557,9 @@ def select(
     names : sequence of str
         The candidates.
     workers : int
-        Threads.
+        Processors.
     progress : callable, optional
-        Told of each candidate.
+        Told what is being done.
     known : sequence of Round
         Of a selection among fewer: what was held against the same model is not tried again.
     closely : bool
@@ -763,7 +784,7 @@ def _against(
 
 
 def eliminate(
-    bench: Workbench, chosen: Refit, rounds: Sequence[Round]
+    bench: Workbench, chosen: Refit, rounds: Sequence[Round], *, workers: int = 1
 ) -> tuple[Refit, tuple[str, ...]]:
     """
     Take out effects that later ones have made superfluous.
@@ -776,6 +797,8 @@ def eliminate(
         The model with all accepted effects.
     rounds : sequence of Round
         How they were accepted.
+    workers : int
+        Processors.
 
     Returns
     -------
@@ -786,10 +809,14 @@ def eliminate(
 
     """
     order = [each.alike[0] for each in rounds if each.alike]
+
+    def without(name: str) -> Refit | None:
+        return bench.refit(Model(tuple(n for n in order if n != name)), chosen)
+
     while len(order) > 1:
         losses = []
-        for name in order:
-            fewer = bench.refit(Model(tuple(n for n in order if n != name)), chosen)
+        all_fewer = parallel.each(without, order, workers, bench.trials)
+        for name, fewer in zip(order, all_fewer, strict=True):
             if fewer is not None:
                 loss = fewer.deviance - chosen.deviance - price(bench, name)
                 losses.append((loss, name, fewer))

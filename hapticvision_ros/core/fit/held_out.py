@@ -36,6 +36,7 @@ import math
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Channel, HeldOutChange, Misfit, Misfits, Phase
 from hapticvision_ros.core.fit.bend import Servo
@@ -593,6 +594,9 @@ def leave_one_condition_out(
     refit: Refit,
     prepared: Sequence[FitTrial | None],
     noise: CampaignNoise,
+    *,
+    progress: Callable[[str], None] | None = None,
+    workers: int = 1,
 ) -> tuple[Unseen, ...]:
     """
     Predict each condition of the push by models that have not seen it.
@@ -609,6 +613,10 @@ def leave_one_condition_out(
         The trials in the form of the fit.
     noise : CampaignNoise
         What all models are weighted by.
+    progress : callable, optional
+        Told of each condition that is done.
+    workers : int
+        Processors.
 
     Returns
     -------
@@ -617,17 +625,28 @@ def leave_one_condition_out(
 
     """
     pairs = pairs_of(campaign)
+    groups = [
+        group
+        for group in conditions(campaign)
+        if any(prepared[index] is not None for index in group)
+    ]
+
+    def predicted(group: Sequence[int]) -> list[dict[int, tuple[TrialFit, float]]]:
+        """Return the trials of a condition beside each model."""
+        usable = [(index, one) for index in group if (one := prepared[index]) is not None]
+        return [
+            {index: _predict_one(trained, one, pairs[index][0], noise) for index, one in usable}
+            for trained in refit(group) or ()
+        ]
+
     results: list[dict[int, tuple[TrialFit, float]]] = []
-    for group in conditions(campaign):
-        if not any(prepared[index] is not None for index in group):
-            continue
-        for number, trained in enumerate(refit(group) or ()):
+    for count, found in enumerate(parallel.each(predicted, groups, workers), start=1):
+        if progress is not None:
+            progress(f'left out {count} of {len(groups)} conditions of the push')
+        for number, one in enumerate(found):
             if number == len(results):
                 results.append({})
-            for index in group:
-                one = prepared[index]
-                if one is not None:
-                    results[number][index] = _predict_one(trained, one, pairs[index][0], noise)
+            results[number] |= one
     return tuple(
         Unseen(
             tuple(found[i][0] if i in found else None for i in range(len(pairs))),

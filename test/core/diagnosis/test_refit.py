@@ -129,10 +129,10 @@ def test_a_further_effect_never_fits_worse(lacking: Bench, effect: Any) -> None:
 def test_one_step_promises_what_is_worth_a_refit(lacking: Bench, found: Refit) -> None:
     bench, base = lacking
     gain = base.deviance - found.deviance
-    promised = bench.promise(Model(('yield_force',)), base)
+    promised = bench.look(Model(('yield_force',)), base).promise
     # At the noise of the base model, in which part of the effect passes for noise.
     assert 10.0 * price(bench, 'yield_force') < promised < 1.5 * gain
-    assert bench.promise(Model(('force_drift',)), base) < price(bench, 'force_drift')
+    assert bench.look(Model(('force_drift',)), base).promise < price(bench, 'force_drift')
 
 
 def test_what_later_effects_have_made_superfluous_is_taken_out(
@@ -399,7 +399,7 @@ def test_a_power_of_one_is_started_from_near_one(lacking: Bench) -> None:
     _, starts = bench.guesses(Model(('shear_thinning',)), base)
     indices = [Model(('shear_thinning',)).values(state[:4])[3] for state in starts]
     assert np.min(np.abs(np.array(indices) - 1.0)) < 0.01
-    assert bench.promise(Model(('shear_thinning',)), base) > 0.0
+    assert bench.look(Model(('shear_thinning',)), base).promise > 0.0
 
 
 def test_a_line_is_found_where_samples_are_missing(world: Any) -> None:

@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.refit import Look, Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _by_place,
     _good,
@@ -306,7 +306,7 @@ def test_a_pull_that_comes_slowly_is_found_at_whatever_noise_makes_it_look_like(
         sensors=replace(campaign.sensors, force_noise=ForceNoise(0.0, 0.09, 0.03)),
     )
     bench, base = world.measure(campaign, Undeclared('adhesion', (0.4,)), seed=22).bench()
-    assert bench.scale(base, *base.model.values(base.theta)[:3]).pull > 0.45
+    assert bench.scale(base).pull > 0.45
     (found,) = try_all(bench, base, ['adhesion'])
     assert found.refit is not None
     assert found.gain > 150.0
@@ -318,12 +318,13 @@ def test_what_draws_jumps_out_as_the_leader_does_is_tried_though_it_promises_not
 ) -> None:
     measured = world.measure(world.campaign(), Undeclared('series_spring', (20_000.0,)), seed=24)
     bench, base = measured.bench()
-    promise = bench.promise
+    look = bench.look
 
-    def little(model: Model, near: Any) -> float:
-        return 0.0 if 'machine_compliance' in model.effects else float(promise(model, near))
+    def little(model: Model, near: Any) -> Look:
+        found = look(model, near)
+        return replace(found, promise=0.0) if 'machine_compliance' in model.effects else found
 
-    monkeypatch.setattr(bench, 'promise', little)
+    monkeypatch.setattr(bench, 'look', little)
     tried = try_all(bench, base, ['series_spring', 'machine_compliance', 'springpot'])
     gains = {each.effect: each.gain for each in tried if each.refit is not None}
     assert gains['series_spring'] > 100.0

@@ -1,0 +1,166 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Work on several processors.
+
+Threads share one interpreter, which most of a fit waits for: a second one hardly helps. Processes
+that are forked see all that there is already, and only what they find is sent back. A process that
+has threads is never forked, as any of them may hold a lock: there, threads have to do.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+import ctypes
+from dataclasses import dataclass
+import io
+import multiprocessing
+from pathlib import Path
+import pickle
+import signal
+import threading
+from typing import Any, Final
+
+_TASKS: Final = Path('/proc/self/task')
+"""Where Linux lists the threads of this process, those of libraries too."""
+_END_WITH_PARENT: Final = 1
+"""PR_SET_PDEATHSIG of linux/prctl.h."""
+
+
+def each[T, R](
+    function: Callable[[T], R],
+    items: Sequence[T],
+    workers: int,
+    known: Sequence[object] = (),
+) -> Iterator[R]:
+    """
+    Call a function with each of some items, on several processors.
+
+    Parameters
+    ----------
+    function : callable
+        What it changes outside of what it returns is lost.
+    items : sequence
+        Its arguments, one call each.
+    workers : int
+        Processors.
+    known : sequence of object
+        What results may refer to, so that it is not sent back with them.
+
+    Yields
+    ------
+    object
+        The results, in the order of the items.
+
+    """
+    if workers < 2 or len(items) < 2:
+        yield from map(function, items)
+    elif _can_fork():
+        yield from _forked(function, items, min(workers, len(items)), known)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            yield from pool.map(function, items)
+
+
+def _can_fork() -> bool:
+    """Return whether this process has but one thread, and is no worker itself."""
+    if threading.active_count() > 1 or multiprocessing.current_process().daemon:
+        return False
+    try:
+        return (
+            'fork' in multiprocessing.get_all_start_methods() and len(list(_TASKS.iterdir())) == 1
+        )
+    except OSError:
+        return False
+
+
+def _forked[T, R](
+    function: Callable[[T], R], items: Sequence[T], workers: int, known: Sequence[object]
+) -> Iterator[R]:
+    """Yield the results of forked processes."""
+    context = multiprocessing.get_context('fork')
+    others = multiprocessing.active_children()
+    done = 0
+    with ProcessPoolExecutor(workers, context, _take, (function, items, known)) as pool:
+        try:
+            for made in pool.map(_one, range(len(items))):
+                yield _Reader(io.BytesIO(made), known).load()
+                done += 1
+        except BrokenProcessPool:
+            # A worker was ended from outside, as where memory is short.
+            pass
+        finally:
+            if done < len(items):
+                # Nobody waits for what they are at, as after an interrupt.
+                for child in multiprocessing.active_children():
+                    if child not in others:
+                        child.terminate()
+    yield from map(function, items[done:])
+
+
+@dataclass(slots=True)
+class _Work:
+    """What a forked process has to do."""
+
+    function: Callable[[Any], object]
+    items: Sequence[Any]
+    known: Sequence[object]
+
+
+_given: list[_Work] = []
+"""The work of this process, if it is a worker."""
+
+
+def _take(
+    function: Callable[[Any], object], items: Sequence[Any], known: Sequence[object]
+) -> None:
+    """Begin as a worker, who ends with the process that has started it, and at an interrupt."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
+    _given.append(_Work(function, items, known))
+
+
+def _one(index: int) -> bytes:
+    """Return the result for one item as it is sent."""
+    work = _given[-1]
+    made = io.BytesIO()
+    _Writer(made, work.known).dump(work.function(work.items[index]))
+    return made.getvalue()
+
+
+class _Writer(pickle.Pickler):
+    """Writes results, but not what both processes have."""
+
+    def __init__(self, file: io.BytesIO, known: Sequence[object]) -> None:
+        super().__init__(file, pickle.HIGHEST_PROTOCOL)
+        self._place = {id(one): place for place, one in enumerate(known)}
+
+    def persistent_id(self, obj: object) -> int | None:
+        """Return the place of what both have."""
+        return self._place.get(id(obj))
+
+
+class _Reader(pickle.Unpickler):
+    """Reads them."""
+
+    def __init__(self, file: io.BytesIO, known: Sequence[object]) -> None:
+        super().__init__(file)
+        self._known = known
+
+    def persistent_load(self, pid: int) -> object:
+        """Return what both have."""
+        return self._known[pid]

@@ -1,0 +1,182 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Work on several processors."""
+
+from concurrent.futures import ThreadPoolExecutor
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from hapticvision_ros.core import parallel
+import pytest
+
+# A process of its own has one thread; what pytest loads may have started more.
+ALONE = """
+import os, signal, sys, time
+from hapticvision_ros.core.parallel import each
+
+own = os.getpid()
+"""
+
+
+def alone(what: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run some lines in a process of its own."""
+    return subprocess.run(
+        [sys.executable, '-W', 'error', '-c', ALONE + what],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+        **options,
+    )
+
+
+@pytest.mark.parametrize('workers', [1, 2, 8])
+def test_results_come_in_the_order_of_the_items(workers: int) -> None:
+    assert list(parallel.each(lambda x: 2 * x, range(7), workers)) == list(range(0, 14, 2))
+
+
+def test_other_processes_do_the_work() -> None:
+    """Each of two items waits for the other: they are done at once, and by two processes."""
+    ran = alone(
+        """
+reading, writing = os.pipe()
+def one(index):
+    # Each waits for the other.
+    if index:
+        os.write(writing, b'.')
+    else:
+        os.read(reading, 1)
+    return os.getpid()
+print(len({own, *each(one, range(2), 2)}))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == '3\n'
+
+
+def test_what_both_have_is_not_sent_back() -> None:
+    ran = alone(
+        """
+class Big:
+    def __reduce__(self):
+        raise RuntimeError('it was sent')
+big = Big()
+found = list(each(lambda k: (k, [big]), range(3), 2, [big]))
+print(all(one[1][0] is big for one in found), [one[0] for one in found])
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == 'True [0, 1, 2]\n'
+
+
+def test_a_worker_that_is_ended_is_done_without() -> None:
+    ran = alone(
+        """
+def one(index):
+    if os.getpid() != own and index == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return index
+print(list(each(one, range(4), 2)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == '[0, 1, 2, 3]\n'
+
+
+def test_an_error_is_the_callers() -> None:
+    ran = alone(
+        """
+def one(index):
+    if index == 2:
+        raise ValueError('the third')
+    return index
+try:
+    list(each(one, range(4), 2))
+except ValueError as error:
+    print(error)
+"""
+    )
+    assert ran.stdout == 'the third\n'
+
+
+def test_who_has_enough_does_not_wait_for_the_rest() -> None:
+    begin = time.monotonic()
+    ran = alone(
+        """
+def one(index):
+    if index:
+        time.sleep(50.0)
+    return index
+print(next(each(one, range(4), 2)))
+"""
+    )
+    assert ran.stdout == '0\n'
+    assert time.monotonic() - begin < 30.0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_with_the_process_that_has_started_them(number: int, tmp_path: Path) -> None:
+    ran = subprocess.Popen(
+        [
+            sys.executable,
+            '-c',
+            ALONE
+            + f"""
+from pathlib import Path
+def one(index):
+    made = Path({str(tmp_path)!r}) / 'part'
+    made = made.with_suffix(f'.{{os.getpid()}}')
+    made.write_text('')
+    made.rename(made.with_suffix(made.suffix + '.worker'))
+    time.sleep(50.0)
+list(each(one, range(2), 2))
+""",
+        ],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        deadline = time.monotonic() + 30.0
+        while len(workers := list(tmp_path.glob('*.worker'))) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        ran.send_signal(number)
+        ran.wait(20.0)
+        pids = [int(each.name.split('.')[1]) for each in workers]
+        while any(_runs(pid) for pid in pids):
+            assert time.monotonic() < deadline + 20.0
+            time.sleep(0.01)
+    finally:
+        ran.kill()
+        ran.wait()
+
+
+def _runs(pid: int) -> bool:
+    """Return whether a process is there and not only waits to be buried."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] != 'Z'
+    except OSError:
+        return False
+
+
+def test_a_process_with_threads_is_not_forked() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(int).result()
+        assert set(parallel.each(lambda _: os.getpid(), range(4), 2)) == {os.getpid()}
