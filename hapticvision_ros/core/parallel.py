@@ -24,6 +24,7 @@ has threads is never forked, as any of them may hold a lock: there, threads have
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+import copyreg
 import ctypes
 from dataclasses import dataclass
 import io
@@ -32,6 +33,7 @@ from pathlib import Path
 import pickle
 import signal
 import threading
+from types import MappingProxyType
 from typing import Any, Final
 
 _TASKS: Final = Path('/proc/self/task')
@@ -142,8 +144,20 @@ def _one(index: int) -> bytes:
     return made.getvalue()
 
 
+def _mapping(of: MappingProxyType[Any, Any]) -> tuple[Any, ...]:
+    """Return how a mapping that does not change is made anew: its type has no name to be sent."""
+    return _unchanging, (dict(of),)
+
+
+def _unchanging(of: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    """Return a mapping that does not change."""
+    return MappingProxyType(of)
+
+
 class _Writer(pickle.Pickler):
     """Writes results, but not what both processes have."""
+
+    dispatch_table = copyreg.dispatch_table | {MappingProxyType: _mapping}
 
     def __init__(self, file: io.BytesIO, known: Sequence[object]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)

@@ -87,6 +87,17 @@ print(all(one[1][0] is big for one in found), [one[0] for one in found])
     assert ran.stdout == 'True [0, 1, 2]\n'
 
 
+def test_mappings_that_do_not_change_are_sent_back() -> None:
+    ran = alone(
+        """
+from types import MappingProxyType
+print(list(each(lambda k: MappingProxyType({'k': k}), range(2), 2)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == "[mappingproxy({'k': 0}), mappingproxy({'k': 1})]\n"
+
+
 def test_a_worker_that_is_ended_is_done_without() -> None:
     ran = alone(
         """
