@@ -218,8 +218,9 @@ class Diagnosis:
     late : float
         By how much the stamps of the tool's height were late, and have been moved before all
         this [s].
-    contenders : tuple of str
-        The effects, each by the law that was looked for, that came near to being chosen or were.
+    contenders : tuple of (tuple of str)
+        The effects, each by the law that was looked for, that came near to being chosen or were:
+        at first, beside the first of them, and so on.
 
     """
 
@@ -237,4 +238,4 @@ class Diagnosis:
     bootstrap: Bootstrap | None = None
     laws: tuple[str, ...] = ()
     late: float = 0.0
-    contenders: tuple[str, ...] = ()
+    contenders: tuple[tuple[str, ...], ...] = ()

@@ -222,21 +222,21 @@ def diagnose(
     )
 
 
-def _contenders(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Return the effects that might be chosen from some of the trials."""
-    names = dict[str, None]()
+def _contenders(rounds: Sequence[Round]) -> tuple[tuple[str, ...], ...]:
+    """Return the effects that might be chosen from some of the trials, round by round."""
+    names = list[tuple[str, ...]]()
     for each in rounds:
         least = 0.5 * GATE
         if each.alike:
             leader = next(one for one in each.candidates if one.effect == each.alike[0])
             least = _OPEN * leader.gain
-        names |= dict.fromkeys(each.alike)
-        names |= dict.fromkeys(
+        near = [
             one.effect
             for one in each.candidates
             # Stamps that are late have been moved for all trials.
             if one.refit is not None and one.gain > least and not BY_NAME[one.effect].misdates
-        )
+        ]
+        names.append(tuple(dict.fromkeys((*each.alike, *near))))
     return tuple(names)
 
 
@@ -851,5 +851,6 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     known = scatter if scatter.size else None
     bench = Workbench(trials, known, found.before.noise.memory)
     # All trials have shown how closely to search.
-    chosen, rounds = select(bench, bench.base(found.before), found.contenders, closely=False)
+    first, *later = found.contenders or ((),)
+    chosen, rounds = select(bench, bench.base(found.before), first, later=later, closely=False)
     return eliminate(bench, chosen, rounds)[0]

@@ -543,6 +543,7 @@ def select(
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
     known: Sequence[Round] = (),
+    later: Sequence[Sequence[str]] = (),
     closely: bool = True,
 ) -> tuple[Refit, tuple[Round, ...]]:
     """
@@ -562,6 +563,8 @@ def select(
         Told what is being done.
     known : sequence of Round
         Of a selection among fewer: what was held against the same model is not tried again.
+    later : sequence of (sequence of str)
+        Further candidates once one effect, two, and so on were accepted.
     closely : bool
         Whether those that may come first are searched for longer.
 
@@ -575,7 +578,8 @@ def select(
     """
     current, rounds, strongest = base, list[Round](), (0.0, 0.0)
     while len(rounds) < _MOST:
-        open_ = candidates_for(current.model, names)
+        added = [name for more in later[: len(rounds)] for name in more]
+        open_ = candidates_for(current.model, list(dict.fromkeys((*names, *added))))
         before: tuple[Trialled, ...] = ()
         if len(rounds) < len(known):
             past = known[len(rounds)]

@@ -146,7 +146,7 @@ def test_what_was_said_of_the_stamps_and_of_laws_holds_for_the_choice_made_anew(
         diagnosis,
         ranking=(late, *diagnosis.ranking),
         laws=('friction:held',),
-        contenders=('friction:held', 'yield_force'),
+        contenders=(('friction:held', 'yield_force'),),
     )
     tried = set[str]()
 
