@@ -71,6 +71,9 @@ _STEPS: Final = 12
 _ROUNDS: Final = 6
 _ENOUGH: Final = 1.0
 """Gain below which another round of noise and parameters is not worth it."""
+_NEGLIGIBLE: Final = 1e-3
+_MODERATE: Final = 0.1
+"""Part of C2 below which C1 does nothing, and the one that it is started from then as well."""
 _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
@@ -488,9 +491,16 @@ class Workbench:
         )
         scans = list(product(*(model.parameters[k].scan for k in new)))
         factors = _FACTORS if signless and len(scans) < _CLOSE_BY else _FACTORS[:1]
+        # What the smaller model has done without, no search finds the way back to.
+        C1, C2 = (model.names.index(name) for name in ('C1', 'C2'))
+        viscosities = model.values(begin[: problem.p])[[C1, C2]]
+        parts = [viscosities[0]]
+        if viscosities[0] < _NEGLIGIBLE * viscosities[1]:
+            parts.append(_MODERATE * viscosities[1])
         states = []
-        for factor, scan in product(factors, scans):
+        for factor, scan, part in product(factors, scans, parts):
             values = model.values(begin[: problem.p])
+            values[C1] = part
             # A power of one, as of a dashpot, is what it differs from.
             strength = np.where(stiff, 1.0 / factor, factor)
             values[new] = absent + (guess[new] - absent) * strength * scan

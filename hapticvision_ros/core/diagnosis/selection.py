@@ -48,6 +48,9 @@ GATE: Final = 10.0
 """Gain in Schwarz's criterion from which on an effect is there."""
 LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
+_PAIR: Final = 2
+_THIRD: Final = 0.5
+"""Part of what tells an effect from the leader that does so once so many are not told apart."""
 WEAKEST: Final = 0.07
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
 _TURNS: Final = 5.0
@@ -65,9 +68,9 @@ _BESIDE: Final = 2
 _AT_ONCE: Final = 0.03
 """Samples within which what draws a jump out does not show."""
 _BRIEF: Final = 3.0
-_BRIEF_NEAR: Final = 0.98
-"""Part of the gain of what is over within so many samples from which on another is like it: how
-the tool went within a sample is not known."""
+_BRIEF_WAY: Final = 0.02
+"""Part of the gain of what is over within so many samples that does not tell it from its like:
+how the tool went within a sample is not known."""
 _WAY: Final = 0.005
 """Part of the gain of what draws jumps out that does not tell it from its like, however long it
 lasts: the way of the tool as it changes its speed is not known more exactly."""
@@ -349,18 +352,27 @@ def try_all(
     # What was refitted comes before what only promised something.
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
     if closely:
+        blunt = without.blur.later > BLUNT
+        chosen = [
+            place
+            for place, each in enumerate(tried)
+            if each.refit is not None
+            # What moments that are not known hide has no gain yet to be told by.
+            and ((place < _CONTEST and each.gain >= GATE) or (blunt and _is_quick(each.effect)))
+        ]
 
-        def closer(each: Trialled) -> Trialled:
-            return _closer(bench, without, each)
+        def closer(place: int) -> Trialled:
+            return _closer(bench, without, tried[place])
 
-        tried[:_CONTEST] = parallel.each(closer, tried[:_CONTEST], workers, bench.trials)
+        found_closer = parallel.each(closer, chosen, workers, bench.trials)
+        for place, better in zip(chosen, found_closer, strict=True):
+            tried[place] = better
     return tuple(sorted(tried, key=lambda each: (each.refit is None, -each.gain)))
 
 
 def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     """Return a candidate after a longer search."""
-    if found.refit is None or found.gain < GATE:
-        return found
+    assert found.refit is not None
     known = near = found.refit
     rough = any(len(p.scan) > _ROUGH for p in BY_NAME[found.effect].parameters)
     if rough:
@@ -634,13 +646,29 @@ def _as_quick(
 
 
 def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
-    """Return the leader of some candidates, best first, and those that are not told from it."""
+    """
+    Return the leader of some candidates, best first, and those that are not told from it.
+
+    A single name is right in 99 % if it leads by so much. From the third on, half of that sets one
+    aside: two that are left hold the right one as surely as a set is asked to.
+    """
+    leader = good[0]
+    near = sorted(_within(bench, good, 1.0), key=lambda each: (each is not leader, -each.gain))
+    closer = _within(bench, good, _THIRD)
+    return [each for place, each in enumerate(near) if place < _PAIR or each in closer]
+
+
+def _within(bench: Workbench, good: Sequence[Trialled], part: float) -> list[Trialled]:
+    """Return the leader and those within a part of the lead that tells an effect from it."""
     leader = good[0]
     assert leader.refit is not None
-    enough = leader.gain - LEAD
+    lead = part * LEAD
+    enough = leader.gain - lead
     samples = _samples(bench, leader.refit, leader.effect)
     if samples >= _BRIEF:
-        alike = enough if math.isinf(samples) else min(enough, (1.0 - _WAY) * leader.gain)
+        alike = enough
+        if math.isfinite(samples):
+            alike = min(enough, (1.0 - part * _WAY) * leader.gain)
         return [
             each
             for each in good
@@ -648,13 +676,13 @@ def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
             or (_is_quick(each.effect) and each.gain > alike and _heights_alike(each, leader))
         ]
     if leader.refit.blur.later > _KNOWN:
-        enough = min(enough, _BRIEF_NEAR * leader.gain)
+        enough = min(enough, (1.0 - part * _BRIEF_WAY) * leader.gain)
     # Nor does it count between them how the arm moved unseen.
-    seen = _seen(leader) - LEAD
+    seen = _seen(leader) - lead
     return [
         each
         for each in good
-        if each.gain > leader.gain - LEAD
+        if each.gain > leader.gain - lead
         or ((each.gain > enough or _seen(each) > seen) and _heights_alike(each, leader))
     ]
 

@@ -29,8 +29,8 @@ from hapticvision_ros.core.fit.campaign import fit_prepared, in_order, line_spec
 from hapticvision_ros.core.fit.least_squares import covariance
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Signal, Trial
-from hapticvision_ros.sim.campaigns import peak_force
-from hapticvision_ros.sim.specimen import Undeclared
+from hapticvision_ros.sim.campaigns import ForceNoise, peak_force
+from hapticvision_ros.sim.specimen import Body, Undeclared
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -416,3 +416,20 @@ def test_a_line_is_found_where_samples_are_missing(world: Any) -> None:
     line = line_spectrum(base.problem, base.state)
     assert line.frequency == pytest.approx(8.1, abs=0.01)
     assert line.chance < 1e-6
+
+
+def test_a_lag_is_found_where_the_base_model_has_done_without_its_viscosity(world: Any) -> None:
+    """C1 makes the force jump at the touch: a load cell that is late leaves none of it to see."""
+    body = Body(1000.0, 75.0, 425.0)
+    pushes = ((0.01, 0.01), (0.0017, 0.01), (0.01, 0.004))
+    campaign = replace(world.campaign(pushes, rate=250.0, hold=2.0), body=body)
+    noise = ForceNoise(0.005 * peak_force(campaign))
+    campaign = replace(campaign, sensors=replace(campaign.sensors, force_noise=noise))
+    late = Undeclared('force_lag', (0.125,))
+    bench, base = world.measure(campaign, late, seed=31).bench()
+    C1, C2 = base.model.values(base.theta)[1:3]
+    assert C1 < 1e-3 * C2
+    refit = bench.refit(Model(('force_lag',)), base)
+    assert refit is not None
+    expected = (body.K1, body.C1, body.C2, late.values[0])
+    assert pytest.approx(expected, rel=0.03) == refit.model.values(refit.theta)

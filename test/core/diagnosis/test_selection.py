@@ -19,6 +19,7 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis import selection
 from hapticvision_ros.core.diagnosis.refit import Look, Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _by_place,
@@ -272,6 +273,12 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     assert lasting(30000.0, ('friction', 29880.0, 0.0)) == 0
     # The heights show it as well, and jumps are nothing to them.
     assert lasting(30000.0, ('series_spring', 29880.0, -50.0)) == 0
+    # Once two are not told apart, half of that sets a third aside.
+    assert near(10.0, (996.0, 50.0), (991.0, 50.0)) == 1
+    assert near(10.0, (991.0, 50.0), (990.5, 50.0)) == 1
+    assert near(10.0, (999.0, 50.0), (996.0, 50.0)) == 2
+    assert near(0.5, (985.0, 50.0), (984.0, 50.0)) == 1
+    assert near(0.5, (995.0, 50.0), (992.0, 50.0)) == 2
     # What leads only by how the arm moved unseen does not lead.
     assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
     assert near(10.0, (960.0, 10.0)) == 0
@@ -353,3 +360,23 @@ def test_where_jumps_are_blunt_what_draws_them_out_is_refitted_whatever_it_promi
         without = replace(base, blur=Blur(base.blur.touch, later))
         tried = {each.effect: each for each in try_all(bench, without, ['inertia', 'yield_force'])}
         assert (tried['inertia'].refit is not None) == (later > 1.0)
+
+
+def test_what_blunt_jumps_hide_is_searched_for_as_long_as_what_they_show(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    longer = set[str]()
+
+    def closer(bench: Any, without: Any, found: Trialled) -> Trialled:
+        longer.add(found.effect)
+        return found
+
+    monkeypatch.setattr(selection, '_closer', closer)
+    for later, expected in ((0.5, set[str]()), (2.0, {'force_lag', 'series_spring'})):
+        longer.clear()
+        there = replace(base, blur=Blur(0.5, later))
+        tried = try_all(bench, there, ['force_lag', 'series_spring', 'force_drift'])
+        # All gain nothing here.
+        assert max(each.gain for each in tried) < 0.0
+        assert longer == expected
