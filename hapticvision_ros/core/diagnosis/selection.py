@@ -749,12 +749,13 @@ def _beside(bench: Workbench, each: Trialled, refused: Sequence[Trialled]) -> fl
     """
     Return the gain of a candidate where those that are refused may act.
 
-    Jumps are drawn out whether or not the encoders show by what: an effect that gains less than
-    that, and nothing beside it, has only taken some of it.
+    Jumps are drawn out whether or not the encoders show by what: an effect that does not clearly
+    gain more than that, and nothing beside it, may only have taken some of it.
     """
     gains = [each.gain]
+    lead = 0.0 if _is_quick(each.effect) else LEAD
     for other in refused:
-        if other.refit is None or other.gain <= each.gain:
+        if other.refit is None or each.gain - other.gain >= lead:
             continue
         if each.effect not in candidates_for(other.refit.model, [each.effect]):
             continue
@@ -779,15 +780,21 @@ def drawn_out(bench: Workbench, tried: Sequence[Trialled]) -> tuple[Trialled, ..
     Returns
     -------
     tuple of Trialled
-        Those that might be accepted if the encoders showed how the arm stops.
+        Those that might be accepted if the encoders showed how the arm stops, and those that are
+        over at once, and only change what a jump is said to be.
 
     """
-    return tuple(
-        each
-        for each in tried
-        if _draws_out(bench, each, WEAKEST, each.gain - each.release)
-        and not _draws_out(bench, each, WEAKEST, min(_seen(each), each.sure))
-    )
+
+    def refused(each: Trialled, refit: Refit) -> bool:
+        if each.gain - each.release <= _QUICK_GATE or each.strength <= WEAKEST:
+            return False
+        if _samples(bench, refit, each.effect) <= _AT_ONCE:
+            return True
+        return fleeting(bench, refit, each.effect) and not _draws_out(
+            bench, each, WEAKEST, min(_seen(each), each.sure)
+        )
+
+    return tuple(each for each in tried if each.refit is not None and refused(each, each.refit))
 
 
 def _draws_out(bench: Workbench, each: Trialled, weakest: float, gain: float) -> bool:

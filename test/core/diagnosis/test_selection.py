@@ -117,9 +117,19 @@ def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
     taken = Trialled('contact_growth', 110.0, 100.0, 1.0, other)
     assert fleeting(bench, spring, 'series_spring')
     assert _good(bench, [refused, taken], (0.0, 0.0)) == []
-    # What gains more than that is not asked.
-    more = replace(taken, gain=400.0)
-    assert _good(bench, [refused, more], (0.0, 0.0)) == [more]
+    # Nor is what gains a little more than that: only what clearly does is not asked.
+    little, more = replace(taken, gain=309.0), replace(taken, gain=311.0)
+    assert _good(bench, [little, refused], (0.0, 0.0)) == []
+    assert _good(bench, [more, refused], (0.0, 0.0)) == [more]
+    # What is over at once is refused as well, wherever it is told.
+    place = spring.model.names.index('K_0')
+    values = spring.model.values(spring.theta)
+    values[place] *= 1000.0
+    state = spring.state.copy()
+    state[: values.size] = spring.model.theta(values)
+    at_once = replace(refused, refit=replace(spring, state=state), stop=0.0)
+    assert drawn_out(bench, [at_once]) == (at_once,)
+    assert _good(bench, [at_once, taken], (0.0, 0.0)) == []
 
 
 def test_a_clear_gain_is_an_effect_though_it_acts_in_few_samples(world: Any) -> None:
