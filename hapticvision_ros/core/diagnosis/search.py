@@ -93,6 +93,9 @@ _OPEN: Final = 0.7
 _ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
 """Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
 _ARM_TURNS: Final = 20
+_ARM_LOOKS: Final = 4
+_ON_THE_WAY: Final = 0.2
+"""Turns after which a search must have come so much of its way to go on."""
 _LITTLE: Final = 0.1
 """Part of these that shows what they would take out."""
 _PROMISING: Final = 0.1
@@ -302,7 +305,13 @@ def _otherwise(
         least = _worth(bench, without)
         if promised < _PROMISING * (least - reached) and without.blur.later < BLUNT:
             return None
-        left, x = minimum(cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS)
+
+        def hopeful(turn: int, best: float) -> bool:
+            return turn < _ARM_LOOKS or least - best > _ON_THE_WAY * (least - reached)
+
+        left, x = minimum(
+            cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS, hopeful=hopeful
+        )
         return (arm.changed(*x.tolist()), left < reached - LEAD) if left < reached + LEAD else None
 
     jobs = [(arm, without) for arm in arms for without in smaller]

@@ -35,6 +35,7 @@ def minimum(
     enough: float = 0.1,
     near: float = 0.02,
     turns: int = 60,
+    hopeful: Callable[[int, float], bool] | None = None,
 ) -> tuple[float, FloatArray]:
     """
     Return the minimum of a function near a point, by the method of Nelder and Mead.
@@ -51,6 +52,8 @@ def minimum(
         Differences in cost, and in every variable, below which two points are one.
     turns : int
         Most turns of the search.
+    hopeful : callable, optional
+        Whether to go on, by the turns so far and the least cost.
 
     Returns
     -------
@@ -65,8 +68,10 @@ def minimum(
         return cost(point), tuple(point.tolist())
 
     scored = [scored_at(start), *(scored_at(start + step) for step in np.diag(sizes))]
-    for _ in range(turns):
+    for turn in range(turns):
         scored.sort()
+        if hopeful is not None and not hopeful(turn, scored[0][0]):
+            break
         corner = [np.array(point) for _, point in scored]
         spread = max(float(np.abs(corner[-1] - corner[0]).max()), 0.0)
         if scored[-1][0] - scored[0][0] < enough or spread < near:
