@@ -475,6 +475,7 @@ class _Pile:
             self.samples += int(np.count_nonzero(record.blocks.count))
             first = last
         self.parameters = first
+        self.jumps = any(bool(record.blocks.extra.any()) for record in records)
 
 
 def estimate(
@@ -517,11 +518,14 @@ def estimate(
     longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
+    def split(point: FloatArray) -> SensorNoise | None:
+        if not limits[0] <= point[1] <= limits[1]:
+            return None
+        return _split(point[0], math.exp(point[1]), start)
+
     def cost(point: FloatArray, given: _Pile = pile) -> float:
-        share, log_time = point
-        if not limits[0] <= log_time <= limits[1]:
-            return math.inf
-        return _restricted(given, _split(share, math.exp(log_time), start))[0]
+        noise = split(point)
+        return math.inf if noise is None else _restricted(given, noise)[0]
 
     quick = math.hypot(start.white, start.slow)
     slow, white = max(start.slow, 1e-9 * quick), max(start.white, 1e-9 * quick)
@@ -536,8 +540,23 @@ def estimate(
         size = 1.0
     _, point = minimum(cost, point, np.full(2, size))
     relative = _split(point[0], math.exp(point[1]), start)
-    _, level = _restricted(pile, relative)
-    return replace(relative, white=level * relative.white, slow=level * relative.slow)
+    level = _restricted(pile, relative)[1]
+    if not pile.jumps:
+        return _louder(relative, level)
+
+    # What is not known of a jump is of a size of its own, and has no level.
+    def whole(point: FloatArray) -> float:
+        if abs(point[0]) > _LOG_SIZES:
+            return math.inf
+        return _likelihood(pile, _louder(relative, math.exp(point[0])))
+
+    _, best = minimum(whole, np.array([math.log(level)]), np.array([0.1]))
+    return _louder(relative, math.exp(best[0]))
+
+
+def _louder(noise: SensorNoise, times: float) -> SensorNoise:
+    """Return noise of so many times the size, but for how its zero wanders."""
+    return replace(noise, white=times * noise.white, slow=times * noise.slow)
 
 
 def wandering(
@@ -612,9 +631,22 @@ def _split(log_ratio: float, correlation_time: float, like: SensorNoise) -> Sens
 
 def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
     """Return minus twice the restricted log likelihood at the best level, and that level."""
+    left, log_determinant, free = _squares(pile, noise)
+    variance = max(left, 1e-300) / max(free, 1)
+    return free * math.log(variance) + log_determinant, math.sqrt(variance)
+
+
+def _likelihood(pile: _Pile, noise: SensorNoise) -> float:
+    """Return minus twice the restricted log likelihood at the level that the noise has."""
+    left, log_determinant, _ = _squares(pile, noise)
+    return left + log_determinant
+
+
+def _squares(pile: _Pile, noise: SensorNoise) -> tuple[float, float, int]:
+    """Return the least whitened squares, the determinants' logarithm, and the free samples."""
     normal = np.zeros((pile.parameters, pile.parameters))
     gradient = np.zeros(pile.parameters)
-    squares, log_determinant, samples = 0.0, 0.0, pile.samples
+    squares, log_determinant = 0.0, 0.0
     for blocks, rows, place in pile.records:
         filter_ = whitener(blocks, noise)
         products = filter_.products(rows)
@@ -626,14 +658,11 @@ def _restricted(pile: _Pile, noise: SensorNoise) -> tuple[float, float]:
     seen = scale > 0.0
     scale = scale[seen]
     if scale.size == 0:
-        variance = max(squares, 1e-300) / samples
-        return samples * math.log(variance) + log_determinant, math.sqrt(variance)
+        return squares, log_determinant, pile.samples
     values, vectors = np.linalg.eigh(normal[np.ix_(seen, seen)] / np.outer(scale, scale))
     steep = values > 1e-9
     projected = vectors[:, steep].T @ (gradient[seen] / scale)
-    free = samples - int(np.count_nonzero(steep))
-    left = max(squares - float(projected**2 @ (1.0 / values[steep])), 1e-300)
     # The columns' own scale belongs to the determinant as well.
     information = float(np.sum(np.log(values[steep]))) + 2.0 * float(np.sum(np.log(scale)))
-    variance = left / max(free, 1)
-    return free * math.log(variance) + log_determinant + information, math.sqrt(variance)
+    left = squares - float(projected**2 @ (1.0 / values[steep]))
+    return left, log_determinant + information, pile.samples - int(np.count_nonzero(steep))

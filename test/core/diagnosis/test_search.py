@@ -365,7 +365,7 @@ def test_the_touches_tell_what_slow_encoders_do_not_show(world: Any) -> None:
 
 def test_what_neither_touches_nor_slow_encoders_show_is_told_and_not_named(world: Any) -> None:
     # Encoders that round: else all stops together show how the arm makes them.
-    found = _slow(world, 9.5e5, 2e-5)
+    found = _slow(world, 8e5, 2e-5)
     assert found.effects == ()
     (told,) = (each for each in found.warnings if 'drawn out' in each)
     assert 'series_spring' in told

@@ -112,6 +112,21 @@ def test_level_and_memory_come_back_from_a_residual(true: SensorNoise) -> None:
         assert found.correlation_time == pytest.approx(true.correlation_time, rel=0.3)
 
 
+@pytest.mark.parametrize('everywhere', [True, False])
+def test_jumps_that_turn_out_known_better_do_not_make_the_noise_quieter(everywhere: bool) -> None:
+    """A third of the steps may be off by ten times the noise, and are not."""
+    true = SensorNoise(1.0, 0.0, 0.02)
+    random = np.random.default_rng(4)
+    count = np.ones(900)
+    extra = np.where(np.arange(900) % 3 == 0, 100.0, 0.0)
+    residual = random.standard_normal(900)
+    none = np.zeros((0, 900))
+    records = [Record(Blocks(count * INTERVAL, count, extra), residual, none, none)]
+    start = SensorNoise(0.9, 0.1, 0.02)
+    found = estimate(records, start, INTERVAL, everywhere=everywhere, longest=0.05)
+    assert found.std == pytest.approx(true.std, rel=0.08)
+
+
 def test_three_samples_tell_nothing_of_their_noise() -> None:
     """As many parameters as samples leave no residual, and no noise that explains it."""
     blocks = Blocks(np.full(3, INTERVAL), np.ones(3), np.zeros(3))
