@@ -29,15 +29,22 @@ import ctypes
 from dataclasses import dataclass
 import io
 import multiprocessing
+import os
 from pathlib import Path
 import pickle
 import signal
 import threading
+import time
 from types import MappingProxyType
 from typing import Any, Final
 
 _TASKS: Final = Path('/proc/self/task')
 """Where Linux lists the threads of this process, those of libraries too."""
+_JOINED: Final = 0.5
+_LOOK: Final = 1e-4
+"""Longest time for which a thread that has ended is seen, and how often to look [s]."""
+_staying: dict[int, int] = {}
+"""How many threads a process was seen not to lose in this time."""
 _END_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of linux/prctl.h."""
 
@@ -81,12 +88,26 @@ def _can_fork() -> bool:
     """Return whether this process has but one thread, and is no worker itself."""
     if threading.active_count() > 1 or multiprocessing.current_process().daemon:
         return False
-    try:
-        return (
-            'fork' in multiprocessing.get_all_start_methods() and len(list(_TASKS.iterdir())) == 1
-        )
-    except OSError:
+    if 'fork' not in multiprocessing.get_all_start_methods():
         return False
+    # A thread that has been joined is seen for a moment still; those of a library stay.
+    deadline = time.monotonic() + _JOINED
+    while (threads := _threads()) > 1:
+        if threads == _staying.get(os.getpid()):
+            return False
+        if time.monotonic() > deadline:
+            _staying[os.getpid()] = threads
+            return False
+        time.sleep(_LOOK)
+    return threads == 1
+
+
+def _threads() -> int:
+    """Return how many threads this process has; zero where that cannot be seen."""
+    try:
+        return len(list(_TASKS.iterdir()))
+    except OSError:
+        return 0
 
 
 def _forked[T, R](

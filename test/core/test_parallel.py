@@ -72,6 +72,34 @@ print(len({own, *each(one, range(2), 2)}))
     assert ran.stdout == '3\n'
 
 
+def test_threads_of_the_work_before_do_not_keep_others_from_it() -> None:
+    """A thread that has been joined is listed for a moment still."""
+    ran = alone(
+        """
+print(all(own not in each(lambda _: os.getpid(), range(2), 2) for _ in range(50)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == 'True\n'
+
+
+def test_threads_that_stay_are_not_waited_for_again() -> None:
+    begin = time.monotonic()
+    ran = alone(
+        """
+from concurrent.futures import ThreadPoolExecutor
+from hapticvision_ros.core import parallel
+parallel.threading.active_count = lambda: 1
+with ThreadPoolExecutor(1) as pool:
+    pool.submit(int).result()
+    print({pid for _ in range(50) for pid in each(lambda _: os.getpid(), range(2), 2)} == {own})
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == 'True\n'
+    assert time.monotonic() - begin < 15.0
+
+
 def test_what_both_have_is_not_sent_back() -> None:
     ran = alone(
         """
