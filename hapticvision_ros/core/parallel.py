@@ -40,6 +40,8 @@ from typing import Any, Final
 
 _TASKS: Final = Path('/proc/self/task')
 """Where Linux lists the threads of this process, those of libraries too."""
+_MOST_THREADS: Final = 2
+"""More hardly help."""
 _JOINED: Final = 0.5
 _LOOK: Final = 1e-4
 """Longest time for which a thread that has ended is seen, and how often to look [s]."""
@@ -80,13 +82,14 @@ def each[T, R](
     elif _can_fork():
         yield from _forked(function, items, min(workers, len(items)), known)
     else:
-        with ThreadPoolExecutor(workers) as pool:
+        with ThreadPoolExecutor(min(workers, _MOST_THREADS)) as pool:
             yield from pool.map(function, items)
 
 
 def _can_fork() -> bool:
     """Return whether this process has but one thread, and is no worker itself."""
-    if threading.active_count() > 1 or multiprocessing.current_process().daemon:
+    worker = bool(_given) or multiprocessing.current_process().daemon
+    if worker or threading.active_count() > 1:
         return False
     if 'fork' not in multiprocessing.get_all_start_methods():
         return False
@@ -117,7 +120,9 @@ def _forked[T, R](
     context = multiprocessing.get_context('fork')
     others = multiprocessing.active_children()
     done = 0
-    with ProcessPoolExecutor(workers, context, _take, (function, items, known)) as pool:
+    with ProcessPoolExecutor(
+        workers, context, _take, (function, items, known, os.getpid())
+    ) as pool:
         try:
             for made in pool.map(_one, range(len(items))):
                 yield _Reader(io.BytesIO(made), known).load()
@@ -148,12 +153,20 @@ _given: list[_Work] = []
 
 
 def _take(
-    function: Callable[[Any], object], items: Sequence[Any], known: Sequence[object]
+    function: Callable[[Any], object],
+    items: Sequence[Any],
+    known: Sequence[object],
+    parent: int,
 ) -> None:
     """Begin as a worker, who ends with the process that has started it, and at an interrupt."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # In the background of a shell nobody is interrupted.
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:
+        # It has ended before that.
+        os._exit(1)
     _given.append(_Work(function, items, known))
 
 

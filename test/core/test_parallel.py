@@ -100,6 +100,20 @@ with ThreadPoolExecutor(1) as pool:
     assert time.monotonic() - begin < 15.0
 
 
+def test_a_worker_starts_no_workers() -> None:
+    ran = alone(
+        """
+def inner(_):
+    return os.getpid()
+def outer(_):
+    return os.getpid(), set(each(inner, range(4), 2))
+print(all(pids == {pid} for pid, pids in each(outer, range(2), 2)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == 'True\n'
+
+
 def test_what_both_have_is_not_sent_back() -> None:
     ran = alone(
         """
@@ -179,6 +193,7 @@ def test_workers_end_with_the_process_that_has_started_them(number: int, tmp_pat
             '-c',
             ALONE
             + f"""
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 def one(index):
     made = Path({str(tmp_path)!r}) / 'part'
@@ -215,7 +230,45 @@ def _runs(pid: int) -> bool:
         return False
 
 
-def test_a_process_with_threads_is_not_forked() -> None:
+def test_a_process_plainly_is_not_forked() -> None:
     with ThreadPoolExecutor(1) as pool:
         pool.submit(int).result()
         assert set(parallel.each(lambda _: os.getpid(), range(4), 2)) == {os.getpid()}
+
+
+def test_processes_find_what_one_process_finds() -> None:
+    """Problems, searches and refits are sent between processes, and refer to the same trials."""
+    ran = alone(
+        """
+from hapticvision_ros.core import parallel
+from hapticvision_ros.core.pipeline import analyse, analyse_campaign
+from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.selection import try_all
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, Sensors, run
+from hapticvision_ros.sim.specimen import Body, Undeclared
+
+pushes = tuple(Push(v, d, 6.0, 4.0) for v, d in ((0.002, 0.004), (0.008, 0.006), (0.008, 0.003)))
+sensors = Sensors(ForceNoise(0.05), 3e-5, force_rate=100.0, tool_rate=100.0)
+campaign = Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors)
+trials = [analyse(t) for t in run(campaign, [Undeclared('yield_force', (0.5,))], seed=2).trials]
+forked = []
+plainly = parallel._forked
+def counted(function, items, workers, known):
+    forked.append(len(items))
+    return plainly(function, items, workers, known)
+parallel._forked = counted
+one, two = (analyse_campaign(trials, workers=workers) for workers in (1, 2))
+assert forked, 'nothing was forked'
+assert one.diagnosis.effects == two.diagnosis.effects == ('yield_force',)
+assert one.diagnosis.ranking == two.diagnosis.ranking
+assert one.change == two.change
+fit = one.diagnosis.before
+bench = Workbench(fit.problem.trials, None, fit.noise.memory)
+tried = try_all(bench, bench.base(fit), ['yield_force', 'springpot', 'shear_thinning'], workers=2)
+assert all(a is b for e in tried if e.refit for a, b in zip(e.refit.problem.trials, bench.trials))
+print('as one')
+""",
+        env=dict(os.environ, OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1'),
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == 'as one\n'

@@ -861,5 +861,8 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     bench = Workbench(trials, known, found.before.noise.memory)
     # All trials have shown how closely to search.
     first, *later = found.contenders or ((),)
+    # What was accepted later may be the first without some of the trials.
+    accepted = found.after.model.effects if found.contenders else ()
+    first = tuple(dict.fromkeys((*first, *accepted)))
     chosen, rounds = select(bench, bench.base(found.before), first, later=later, closely=False)
     return eliminate(bench, chosen, rounds)[0]

@@ -28,7 +28,7 @@ very strong evidence, one of six strong).
 
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Final
@@ -619,8 +619,9 @@ def select(
             rounds.append(Round(current, tried, ()))
             break
         leader = good[0]
-        near = _near(bench, [*good, *_as_quick(bench, tried, good)])
-        alike = tuple(e.effect for e in near if e is leader or not _more_of(bench, e, near))
+        others = _as_quick(bench, tried, good)
+        near = _near(bench, [*good, *others], {each.effect for each in others})
+        alike = tuple(each.effect for each in near)
         rounds.append(Round(current, tried, alike))
         calm = not fleeting(bench, good[0].refit, leader.effect)
         strongest = (
@@ -645,7 +646,9 @@ def _as_quick(
     ]
 
 
-def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
+def _near(
+    bench: Workbench, good: Sequence[Trialled], missed: Collection[str] = ()
+) -> list[Trialled]:
     """
     Return the leader of some candidates, best first, and those that are not told from it.
 
@@ -654,8 +657,12 @@ def _near(bench: Workbench, good: Sequence[Trialled]) -> list[Trialled]:
     """
     leader = good[0]
     near = sorted(_within(bench, good, 1.0), key=lambda each: (each is not leader, -each.gain))
-    closer = _within(bench, good, _THIRD)
-    return [each for place, each in enumerate(near) if place < _PAIR or each in closer]
+    near = [each for each in near if each is leader or not _more_of(bench, each, near)]
+    closer = {each.effect for each in _within(bench, good, _THIRD)}
+    # The laws of an effect are one name, and what has only missed a limit takes no place.
+    places = dict.fromkeys(without_law(e.effect) for e in near if e.effect not in missed)
+    pair = list(places)[:_PAIR]
+    return [e for e in near if without_law(e.effect) in pair or e.effect in closer]
 
 
 def _within(bench: Workbench, good: Sequence[Trialled], part: float) -> list[Trialled]:

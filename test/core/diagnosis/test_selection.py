@@ -258,7 +258,10 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
         state[: values.size] = refit.model.theta(values)
         there = replace(refit, state=state, blur=Blur(blur, blur))
         leader = Trialled('force_lag', 1010.0, 1000.0, 1.0, there, 0.0, 50.0)
-        rest = [Trialled('friction', 0.0, gain, 1.0, refit, stop=stop) for gain, stop in others]
+        rest = [
+            Trialled(name, 0.0, gain, 1.0, refit, stop=stop)
+            for name, (gain, stop) in zip(('friction', 'damage'), others, strict=False)
+        ]
         return len(_near(bench, [leader, *rest])) - 1
 
     def lasting(gain: float, other: tuple[str, float, float]) -> int:
@@ -292,6 +295,43 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     # What leads only by how the arm moved unseen does not lead.
     assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
     assert near(10.0, (960.0, 10.0)) == 0
+
+
+def test_laws_of_one_effect_are_one_place_of_a_set(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    refit = bench.refit(Model(('yield_force',)), base)
+
+    def near(*named: tuple[str, float], missed: tuple[str, ...] = ()) -> list[str]:
+        tried = [Trialled(name, gain, gain, 1.0, refit) for name, gain in named]
+        return [each.effect for each in _near(bench, tried, missed)]
+
+    told = near(('friction', 100.0), ('friction:held', 98.0), ('yield_force', 93.0))
+    assert told == ['friction', 'friction:held', 'yield_force']
+    # The third name needs half the lead only.
+    told = near(('friction', 100.0), ('damage', 98.0), ('yield_force', 93.0))
+    assert told == ['friction', 'damage']
+    # What has missed a limit itself takes no place.
+    told = near(('friction', 100.0), ('damage', 98.0), ('yield_force', 93.0), missed=('damage',))
+    assert told == ['friction', 'damage', 'yield_force']
+
+
+def test_a_general_form_of_the_leader_takes_no_place_of_a_set(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+
+    def quick(name: str, gain: float, **values: float) -> Trialled:
+        refit = bench.refit(Model((name,)), base)
+        known = dict(zip(refit.model.names, refit.model.values(refit.theta), strict=True))
+        state = refit.state.copy()
+        state[: len(known)] = refit.model.theta(list((known | values).values()))
+        return Trialled(name, gain, gain, 1.0, replace(refit, state=state))
+
+    tried = [
+        quick('series_spring', 100.0, K_0=1e6),
+        quick('second_retardation', 98.0, K_2=1e6, C_3=1e3),
+        quick('machine_compliance', 93.0, K_m=1e6),
+    ]
+    names = [each.effect for each in _near(bench, tried)]
+    assert names == ['series_spring', 'machine_compliance']
 
 
 def test_a_misplaced_touch_is_no_size_of_what_a_model_lacks(world: Any) -> None:
