@@ -230,7 +230,7 @@ def _runs(pid: int) -> bool:
         return False
 
 
-def test_a_process_plainly_is_not_forked() -> None:
+def test_a_process_with_threads_is_not_forked() -> None:
     with ThreadPoolExecutor(1) as pool:
         pool.submit(int).result()
         assert set(parallel.each(lambda _: os.getpid(), range(4), 2)) == {os.getpid()}

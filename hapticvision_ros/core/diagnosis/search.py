@@ -221,12 +221,16 @@ def diagnose(
         before=before,
         after=after,
         warnings=outcome.warnings,
-        contenders=_contenders(outcome.rounds),
+        contenders=_contenders(outcome.rounds, outcome.chosen.model.effects),
     )
 
 
-def _contenders(rounds: Sequence[Round]) -> tuple[tuple[str, ...], ...]:
-    """Return the effects that might be chosen from some of the trials, round by round."""
+def _contenders(rounds: Sequence[Round], chosen: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """
+    Return the effects that might be chosen from some of the trials, round by round.
+
+    What was accepted after another, and `chosen` in the end, may be the first without some.
+    """
     names = list[tuple[str, ...]]()
     for each in rounds:
         least = 0.5 * GATE
@@ -239,7 +243,8 @@ def _contenders(rounds: Sequence[Round]) -> tuple[tuple[str, ...], ...]:
             # Stamps that are late have been moved for all trials.
             if one.refit is not None and one.gain > least and not BY_NAME[one.effect].misdates
         ]
-        names.append(tuple(dict.fromkeys((*each.alike, *near))))
+        accepted = () if names else chosen
+        names.append(tuple(dict.fromkeys((*each.alike, *near, *accepted))))
     return tuple(names)
 
 
@@ -861,8 +866,5 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     bench = Workbench(trials, known, found.before.noise.memory)
     # All trials have shown how closely to search.
     first, *later = found.contenders or ((),)
-    # What was accepted later may be the first without some of the trials.
-    accepted = found.after.model.effects if found.contenders else ()
-    first = tuple(dict.fromkeys((*first, *accepted)))
     chosen, rounds = select(bench, bench.base(found.before), first, later=later, closely=False)
     return eliminate(bench, chosen, rounds)[0]

@@ -659,9 +659,9 @@ def _near(
     near = sorted(_within(bench, good, 1.0), key=lambda each: (each is not leader, -each.gain))
     near = [each for each in near if each is leader or not _more_of(bench, each, near)]
     closer = {each.effect for each in _within(bench, good, _THIRD)}
-    # The laws of an effect are one name, and what has only missed a limit takes no place.
-    places = dict.fromkeys(without_law(e.effect) for e in near if e.effect not in missed)
-    pair = list(places)[:_PAIR]
+    # The laws of an effect are one name, and what has missed a limit itself comes last.
+    taken = sorted(near, key=lambda each: each.effect in missed)
+    pair = list(dict.fromkeys(without_law(each.effect) for each in taken))[:_PAIR]
     return [e for e in near if without_law(e.effect) in pair or e.effect in closer]
 
 

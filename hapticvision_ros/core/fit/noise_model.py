@@ -518,14 +518,11 @@ def estimate(
     longest = min(longest, max(float(record.blocks.duration.sum()) for record in records))
     limits = (math.log(0.3 * interval), math.log(max(longest, 10.0 * interval)))
 
-    def split(point: FloatArray) -> SensorNoise | None:
-        if not limits[0] <= point[1] <= limits[1]:
-            return None
-        return _split(point[0], math.exp(point[1]), start)
-
     def cost(point: FloatArray, given: _Pile = pile) -> float:
-        noise = split(point)
-        return math.inf if noise is None else _restricted(given, noise)[0]
+        share, log_time = point
+        if not limits[0] <= log_time <= limits[1]:
+            return math.inf
+        return _restricted(given, _split(share, math.exp(log_time), start))[0]
 
     quick = math.hypot(start.white, start.slow)
     slow, white = max(start.slow, 1e-9 * quick), max(start.white, 1e-9 * quick)

@@ -22,7 +22,8 @@ from typing import Any
 
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
-from hapticvision_ros.core.diagnosis.search import choose_again, diagnose
+from hapticvision_ros.core.diagnosis.search import _contenders, choose_again, diagnose
+from hapticvision_ros.core.diagnosis.selection import Round, Trialled
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
@@ -107,6 +108,27 @@ def test_what_came_near_is_chosen_from_without_some_trials(
     none = choose_again(replace(found, contenders=()), left_out)
     assert none is not None
     assert none.model.effects == ()
+
+
+def test_what_was_accepted_last_may_be_the_first_without_some_trials(
+    noise_only: Any,
+) -> None:
+    """It stood far behind the other at first, which it has made superfluous."""
+    _, refit = noise_only.bench()
+
+    def trialled(**gains: float) -> tuple[Trialled, ...]:
+        return tuple(Trialled(name, gain, gain, 1.0, refit) for name, gain in gains.items())
+
+    rounds = (
+        Round(refit, trialled(springpot=100.0, yield_force=20.0, damage=8.0), ('springpot',)),
+        Round(refit, trialled(yield_force=50.0), ('yield_force',)),
+        Round(refit, trialled(damage=8.0, ageing=2.0), ()),
+    )
+    assert _contenders(rounds, ('yield_force',)) == (
+        ('springpot', 'yield_force'),
+        ('yield_force',),
+        ('damage',),
+    )
 
 
 @ACTING

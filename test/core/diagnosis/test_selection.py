@@ -310,7 +310,11 @@ def test_laws_of_one_effect_are_one_place_of_a_set(world: Any) -> None:
     # The third name needs half the lead only.
     told = near(('friction', 100.0), ('damage', 98.0), ('yield_force', 93.0))
     assert told == ['friction', 'damage']
-    # What has missed a limit itself takes no place.
+    # What has missed a limit itself takes no place from others, but a single name needs the lead.
+    assert near(('friction', 100.0), ('damage', 93.0), missed=('damage',)) == [
+        'friction',
+        'damage',
+    ]
     told = near(('friction', 100.0), ('damage', 98.0), ('yield_force', 93.0), missed=('damage',))
     assert told == ['friction', 'damage', 'yield_force']
 
