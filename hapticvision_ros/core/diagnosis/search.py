@@ -23,6 +23,7 @@ accepted is fitted again.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 import math
 from typing import Final
 
@@ -55,7 +56,7 @@ from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
 from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import LAW, without_law
-from hapticvision_ros.core.fit.bend import Servo, told
+from hapticvision_ros.core.fit.bend import Corner, Servo, told
 from hapticvision_ros.core.fit.campaign import (
     Fit,
     fit_prepared,
@@ -90,9 +91,14 @@ _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
 _OPEN: Final = 0.7
 """Part of a leader's gain from which on another may lead without some of the trials."""
-_ARM_STEPS: Final = np.diag([0.2, 0.2, 0.4])
-"""Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk."""
-_ARM_TURNS: Final = 20
+_ARM_STEPS: Final = np.array([0.2, 0.2, 0.4, 0.2])
+"""
+Relative changes of how an arm changes its speed that are tried first: duration, lag, jerk, and
+swing where it has one.
+"""
+_TOLD: Final = 8.0
+"""Twice what the encoders may tell against the first of them, minus twice a log likelihood."""
+_ARM_TURNS: Final = 60
 _ARM_LOOKS: Final = 4
 _ON_THE_WAY: Final = 0.2
 """Turns after which a search must have come so much of its way to go on."""
@@ -289,10 +295,11 @@ def _otherwise(
     def better(tried: tuple[Servo, Refit]) -> tuple[Servo, bool] | None:
         arm, without = tried
         near, start = without.as_fit(before), told(corners, arm)
+        steps = _open_ways(corners, arm)
         paid = sum(price(bench, name) for name in without.model.effects)
 
         def cost(x: FloatArray) -> float:
-            other = arm.changed(*x.tolist())
+            other = arm.changed(*(x @ steps).tolist())
             found = Workbench(along(trials, prepared, other), scatter, memory).base(near)
             return found.deviance + paid + told(corners, other) - start
 
@@ -300,7 +307,7 @@ def _otherwise(
         # are not taken to come at any moment.
         little = [
             _moved(bench, without, along(trials, prepared, arm.changed(*step)))
-            for step in (_LITTLE * _ARM_STEPS).tolist()
+            for step in (_LITTLE * steps).tolist()
         ]
         columns = [
             Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
@@ -314,14 +321,36 @@ def _otherwise(
         def hopeful(turn: int, best: float) -> bool:
             return turn < _ARM_LOOKS or least - best > _ON_THE_WAY * (least - reached)
 
-        left, x = minimum(
-            cost, np.zeros(3), np.diag(_ARM_STEPS), turns=_ARM_TURNS, hopeful=hopeful
-        )
-        return (arm.changed(*x.tolist()), left < reached - LEAD) if left < reached + LEAD else None
+        nowhere, sizes = np.zeros(len(steps)), np.ones(len(steps))
+        left, x = minimum(cost, nowhere, sizes, turns=_ARM_TURNS, hopeful=hopeful)
+        found = arm.changed(*(x @ steps).tolist())
+        return (found, left < reached - LEAD) if left < reached + LEAD else None
 
     jobs = [(arm, without) for arm in arms for without in smaller]
     found = parallel.each(better, jobs, workers)
     return next((each for each in found if each is not None), None)
+
+
+def _open_ways(corners: Sequence[Corner], arm: Servo) -> FloatArray:
+    """
+    Return by what an arm may do otherwise, as far as the encoders leave it open.
+
+    Shape (k, k), a way in each row: what `Servo.changed` takes. All together may be open by much
+    where each by itself is not.
+    """
+    steps = _ARM_STEPS if arm.swing > 0.0 else _ARM_STEPS[:-1]
+    count = steps.size
+
+    def at(*ways: FloatArray) -> float:
+        return told(corners, arm.changed(*(_LITTLE * steps * np.sum(ways, axis=0)).tolist()))
+
+    ways = np.eye(count)
+    bent = np.empty((count, count))
+    for i, j in combinations_with_replacement(range(count), 2):
+        ahead = at(ways[i], ways[j]) + at(-ways[i], -ways[j])
+        bent[i, j] = bent[j, i] = ahead - at(ways[i], -ways[j]) - at(-ways[i], ways[j])
+    curved, axes = np.linalg.eigh(bent / (2.0 * _LITTLE) ** 2)
+    return steps * (axes / np.sqrt(1.0 + np.maximum(curved, 0.0) / _TOLD)).T
 
 
 def _moved(bench: Workbench, found: Refit, trials: Sequence[FitTrial]) -> list[Columns]:

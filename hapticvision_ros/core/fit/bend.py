@@ -16,13 +16,15 @@
 How an arm changes its speed: the same way in all trials, as one controller does it.
 
 An acceleration that comes and goes over a time of its own (a jerk limit, or a moving average of
-the commands), which a servo follows with a first-order lag. Encoders that round tell little of a
-single stop of a slow push; all changes of speed of a campaign together tell the shape.
+the commands), which a servo follows with a lag of first order, or of second, which may swing.
+Encoders that round tell little of a single stop of a slow push; all changes of speed of a campaign
+together tell the shape.
 
 References
 ----------
 L. Biagiotti and C. Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008,
 ch. 3.2 and 4.6 (trapezoidal and double-S profiles, and these as filters in a row).
+K. Ogata, Modern Control Engineering, 5th ed. 2010, ch. 5.3 (response of second-order systems).
 
 """
 
@@ -49,8 +51,18 @@ _FEWEST: Final = 2
 """Changes of speed that tell how the arm makes them."""
 _MOST: Final = 24
 """Those that are looked at."""
+_CRITICAL: Final = 1e-4
+"""Four times a swing less one, of either sign, below which the damping is the critical one."""
+_STIFF: Final = 1e-4
+"""Swing below which a servo has a lag of first order."""
 _BRIEFEST: Final = 1e-4
 """Acceleration that comes and goes at once, as how it does so cannot be told apart [s]."""
+SWINGS: Final = (0.5, 1.2)
+"""Those that are tried, of damping ratios of 0.7 and 0.46 [-]."""
+_LEAST: Final = 0.01
+"""Part of its usual duration that an acceleration lasts at least where a search begins."""
+_WILDEST: Final = 12.0
+"""Swing at most: a damping ratio of 0.14 [-]."""
 _RESTING: Final = 0.1
 """Speed after a stop, over that before, below which it is one."""
 _LONGEST: Final = 3.0
@@ -68,18 +80,32 @@ class Shape(NamedTuple):
     jerk : float
         How long it takes to come, and to go; no longer than `duration` [s].
     lag : float
-        Time constant of the first-order lag of the arm's servo [s].
+        By how much the arm's servo is late, 2 zeta / omega with its damping ratio zeta and its
+        natural frequency omega; without a swing the time constant of a first-order lag [s].
+    swing : float
+        1 / (4 zeta^2): none for a first-order lag, above a quarter the speed goes beyond [-].
 
     """
 
     duration: float
     jerk: float = 0.0
     lag: float = 0.0
+    swing: float = 0.0
 
     @property
     def soft(self) -> float:
         """Return the part of the duration over which the acceleration comes [-]."""
         return self.jerk / self.duration if self.duration > 0.0 else 0.0
+
+    @property
+    def slowest(self) -> float:
+        """Return the longest time constant with which the servo comes to its end [s]."""
+        return self.lag * max(1.0, 2.0 * self.swing)
+
+    @property
+    def takes(self) -> float:
+        """Return how long the speed changes, but for the last of the lag [s]."""
+        return self.duration + self.jerk + 2.0 * self.slowest
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,19 +137,18 @@ class Bend:
     @property
     def lasts(self) -> float:
         """Return how long the speed changes, but for the last of a lag [s]."""
-        return self.shape.duration + self.shape.jerk + 2.0 * self.shape.lag
+        return self.shape.takes
 
     @property
     def start(self) -> float:
         """Return when the acceleration begins [s]."""
-        duration, jerk, lag = self.shape
-        return self.t - lag - 0.5 * (duration + jerk)
+        return self.t - self.shape.lag - 0.5 * (self.shape.duration + self.shape.jerk)
 
     @property
     def stop(self) -> float:
         """Return when it ends [s]."""
-        duration, jerk, lag = self.shape
-        return self.start + duration + jerk + FADED * lag
+        shape = self.shape
+        return self.start + shape.duration + shape.jerk + FADED * shape.slowest
 
     def beyond(self, t: FloatArray) -> FloatArray:
         """Return by how much the path is beyond the straight pieces at times within [m]."""
@@ -135,41 +160,68 @@ class Bend:
         return self.turn * beyond
 
 
+@kernel(error_model='numpy')
+def _fading(since, lag, swing, value, slope):  # type: ignore[no-untyped-def]
+    """Return what a servo that is left to itself with a value and a slope has after a time."""
+    decay = -0.5 / (swing * lag)
+    spread = 4.0 * swing - 1.0
+    if abs(spread) < _CRITICAL:
+        spread = _CRITICAL
+    if spread > 0.0:
+        rate = -decay * math.sqrt(spread)
+        turned = (slope - decay * value) / rate * math.sin(rate * since)
+        return math.exp(decay * since) * (value * math.cos(rate * since) + turned)
+    root = math.sqrt(-spread)
+    # The slower one as a quotient: the sum cancels where there is almost no swing.
+    slow, quick = -2.0 / (lag * (1.0 + root)), decay * (1.0 + root)
+    left = (slope - quick * value) * math.exp(slow * since)
+    return (left - (slope - slow * value) * math.exp(quick * since)) / (slow - quick)
+
+
 @kernel(error_model='numpy', inline='always')
-def _travel(since, lag, order):  # type: ignore[no-untyped-def]
+def _travel(since, lag, swing, order):  # type: ignore[no-untyped-def]
     """Return the travel of a tool that is accelerated evenly for a time, or its integral."""
     if since <= 0.0:
         return 0.0
     if order == 1:
         way = 0.5 * since * since
-        if lag > 0.0:
+        if lag > 0.0 and swing > _STIFF:
+            ahead = lag * lag * (1.0 - swing)
+            way += ahead - lag * since - _fading(since, lag, swing, ahead, -lag)
+        elif lag > 0.0:
             way -= lag * since + lag * lag * np.expm1(-since / lag)
         return way
     way = since * since * since / 6.0
-    if lag > 0.0:
+    if lag > 0.0 and swing > _STIFF:
+        ahead = lag * lag * (1.0 - swing)
+        level = -lag * lag * lag * (1.0 - 2.0 * swing)
+        way += level + since * (ahead - 0.5 * lag * since)
+        way -= _fading(since, lag, swing, level, ahead)
+    elif lag > 0.0:
         way -= lag * (0.5 * since * since - lag * since - lag * lag * np.expm1(-since / lag))
     return way
 
 
 @kernel(error_model='numpy', inline='always')
-def _beyond(away, duration, jerk, lag):  # type: ignore[no-untyped-def]
+def _beyond(away, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
     half = 0.5 * duration
     if jerk <= _SOFT * duration or duration < _BRIEFEST:
-        way = (_travel(at + half, lag, 1) - _travel(at - half, lag, 1)) / duration
+        way = _travel(at + half, lag, swing, 1) - _travel(at - half, lag, swing, 1)
+        way /= duration
     else:
         soft = 0.5 * jerk
-        way = _travel(at + half + soft, lag, 2) - _travel(at + half - soft, lag, 2)
-        way -= _travel(at - half + soft, lag, 2) - _travel(at - half - soft, lag, 2)
+        way = _travel(at + half + soft, lag, swing, 2) - _travel(at + half - soft, lag, swing, 2)
+        way -= _travel(at - half + soft, lag, swing, 2) - _travel(at - half - soft, lag, swing, 2)
         way /= duration * jerk
     return way - max(away, 0.0)
 
 
 @kernel(error_model='numpy')
-def _rounded(away, duration, jerk, lag, beyond):  # type: ignore[no-untyped-def]
+def _rounded(away, duration, jerk, lag, swing, beyond):  # type: ignore[no-untyped-def]
     for i in range(away.size):
-        beyond[i] = _beyond(away[i], duration, jerk, lag)
+        beyond[i] = _beyond(away[i], duration, jerk, lag, swing)
 
 
 def rounded(away: FloatArray, shape: Shape) -> FloatArray:
@@ -186,11 +238,11 @@ def rounded(away: FloatArray, shape: Shape) -> FloatArray:
     Returns
     -------
     ndarray, shape (n,)
-        Above zero [s].
+        Above zero, but where a servo swings [s].
 
     """
     beyond = np.empty(away.size)
-    _rounded(away, max(shape.duration, 1e-9), shape.jerk, shape.lag, beyond)
+    _rounded(away, max(shape.duration, 1e-9), shape.jerk, shape.lag, shape.swing, beyond)
     return beyond
 
 
@@ -241,7 +293,12 @@ class Corner(NamedTuple):
         return np.linspace(-self.coarse, self.coarse, RESTS)
 
     def squares(
-        self, durations: FloatArray, shifts: FloatArray, soft: float, lag: float
+        self,
+        durations: FloatArray,
+        shifts: FloatArray,
+        soft: float,
+        lag: float,
+        swing: float = 0.0,
     ) -> FloatArray:
         """
         Return what shapes leave of the samples.
@@ -252,8 +309,8 @@ class Corner(NamedTuple):
             How long the acceleration lasts [s], and where the tool rests beside its reading [m].
         soft : float
             Part of the duration over which the acceleration comes, and goes [-].
-        lag : float
-            Time constant of the lag [s].
+        lag, swing : float
+            How late the servo is [s], and how it swings [-].
 
         Returns
         -------
@@ -264,20 +321,19 @@ class Corner(NamedTuple):
         squares = np.empty(shifts.size)
         lines = np.array([self.level, self.slope, self.next_level, self.next_slope])
         lasts = np.maximum(durations, 1e-9)
-        _squares(
-            self.t, self.value, lines, self.rest, self.coarse, shifts, lasts, soft, lag, squares
-        )
+        rest = self.rest, self.coarse, shifts
+        _squares(self.t, self.value, lines, *rest, lasts, soft, lag, swing, squares)
         return squares
 
     def left(self, shape: Shape, shift: float) -> float:
         """Return what one shape leaves of the samples with a rest at a shift [m^2]."""
         lasts, at = np.array([shape.duration]), np.array([shift])
-        return float(self.squares(lasts, at, shape.soft, shape.lag)[0])
+        return float(self.squares(lasts, at, shape.soft, shape.lag, shape.swing)[0])
 
     def _at_shifts(self, shape: Shape) -> FloatArray:
         shifts = self.shifts
         lasts = np.full(shifts.size, shape.duration)
-        return self.squares(lasts, shifts, shape.soft, shape.lag) / self.noise**2
+        return self.squares(lasts, shifts, shape.soft, shape.lag, shape.swing) / self.noise**2
 
     def deviance(self, shape: Shape) -> float:
         """Return minus twice the log likelihood of a shape, wherever the tool rests."""
@@ -309,7 +365,7 @@ class Corner(NamedTuple):
 
 @kernel(error_model='numpy')
 def _squares(  # type: ignore[no-untyped-def]
-    t, value, lines, rest, coarse, shifts, durations, soft, lag, squares
+    t, value, lines, rest, coarse, shifts, durations, soft, lag, swing, squares
 ):
     turn = lines[3] - lines[1]
     for j in range(shifts.size):
@@ -324,7 +380,8 @@ def _squares(  # type: ignore[no-untyped-def]
             before = t[i] < meeting
             line = level + lines[1] * t[i] if before else next_level + lines[3] * t[i]
             miss = value[i] - line
-            left = miss - turn * _beyond(t[i] - meeting, durations[j], soft * durations[j], lag)
+            jerk = soft * durations[j]
+            left = miss - turn * _beyond(t[i] - meeting, durations[j], jerk, lag, swing)
             if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
                 left = max(abs(left) - coarse, 0.0)
             total += left * left
@@ -343,7 +400,7 @@ class Servo:
     jerk : float
         How long the acceleration takes to come, over how long it lasts where not `even`, else [s].
     lag : float
-        Time constant of the lag [s].
+        How late the arm is [s].
     even : bool
         Whether the acceleration is the same for all changes, and not its duration.
     lasts : float
@@ -352,6 +409,8 @@ class Servo:
         Whether it makes only the stops so.
     others : Servo or None
         How it makes the others then, if these are alike.
+    swing : float
+        How it swings [-].
 
     """
 
@@ -362,12 +421,13 @@ class Servo:
     lasts: float
     stops: bool = False
     others: 'Servo | None' = None
+    swing: float = 0.0
 
     def of(self, corner: Corner) -> 'Servo | None':
         """Return what makes a change of speed; None where it is not one of those made alike."""
         return self if corner.is_stop or not self.stops else self.others
 
-    def changed(self, duration: float, lag: float, jerk: float) -> 'Servo':
+    def changed(self, duration: float, lag: float, jerk: float, swing: float = 0.0) -> 'Servo':
         """
         Return an arm that does it somewhat otherwise.
 
@@ -378,6 +438,8 @@ class Servo:
         lag, jerk : float
             What is added to lag and jerk, over how long a change of speed lasts; none of both
             gets below zero.
+        swing : float
+            Logarithm of the ratio of how it swings.
 
         """
         scale = self.lasts
@@ -387,6 +449,7 @@ class Servo:
             duration=self.duration * math.exp(duration),
             jerk=soft,
             lag=max(self.lag + lag * scale, 0.0),
+            swing=self.swing * math.exp(swing),
         )
 
     @property
@@ -396,9 +459,9 @@ class Servo:
     def shape(self, turn: float) -> Shape:
         """Return how a change of speed [m/s] goes."""
         if not self.even:
-            return Shape(self.duration, self.jerk * self.duration, self.lag)
+            return Shape(self.duration, self.jerk * self.duration, self.lag, self.swing)
         duration = max(self.duration * abs(turn), 1e-9)
-        return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag)
+        return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag, self.swing)
 
 
 def told(corners: Sequence[Corner], servo: Servo) -> float:
@@ -411,7 +474,11 @@ def told(corners: Sequence[Corner], servo: Servo) -> float:
 
 
 def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
-    """Return the servo of a search: how long over the usual (logarithm), lag, part that comes."""
+    """
+    Return the servo of a search.
+
+    It is given by how long over the usual (logarithm), lag, part that comes, and swing.
+    """
     lag = max(float(x[1]), 0.0) if x.size > 1 else 0.0
     jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
     return Servo(
@@ -420,6 +487,7 @@ def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
         lag * scale,
         even,
         scale,
+        swing=min(max(float(x[3]), 0.0), _WILDEST) if x.size > 3 else 0.0,
     )
 
 
@@ -428,7 +496,7 @@ def _left(
 ) -> float:
     """Return minus twice the log likelihood of a servo."""
     servo = _servo(x, *kind)
-    if np.any(x[1:] < 0.0) or max(sum(servo.shape(c.turn)) for c in corners) > longest:
+    if np.any(x[1:] < 0.0) or max(sum(servo.shape(c.turn)[:3]) for c in corners) > longest:
         return math.inf
     return told(corners, servo)
 
@@ -479,10 +547,11 @@ def _kindred(
     ]
     scale = max(*usual, 1e-6)
     lags = [shape.lag for _, shapes in (stops, others) for shape in shapes]
+    swings = [shape.swing for _, shapes in (stops, others) for shape in shapes]
 
     def servos(x: FloatArray) -> tuple[Servo, Servo]:
         first, second = (
-            _servo(np.array([size, x[2], x[3]]), even=False, usual=max(each, 1e-6), scale=scale)
+            _servo(np.array([size, *x[2:]]), even=False, usual=max(each, 1e-6), scale=scale)
             for size, each in zip(x[:2], usual, strict=True)
         )
         return first, second
@@ -493,8 +562,10 @@ def _kindred(
         made = servos(x)
         return sum(told(of, servo) for (of, _), servo in zip((stops, others), made, strict=True))
 
-    start = np.array([0.0, 0.0, float(np.median(lags)) / scale, 0.5])
-    left, best = minimum(cost, start, np.array([0.3, 0.3, 0.3, 0.4]))
+    swing = float(np.median(swings))
+    size = 5 if swing > 0.0 else 4
+    start = np.array([0.0, 0.0, float(np.median(lags)) / scale, 0.5, swing])[:size]
+    left, best = minimum(cost, start, np.array([0.3, 0.3, 0.3, 0.4, 0.3])[:size])
     return left, *servos(best)
 
 
@@ -530,10 +601,23 @@ def _alike(
         scale = usual * float(np.median(turns)) if even else usual
         if usual <= 0.0:
             continue
-        for size in (1, 2, 3):
-            cost = partial(_left, corners, (even, usual, scale), longest)
-            start = np.array([0.0, lag / scale, 0.5])[:size]
-            left, best = minimum(cost, start, np.array([0.3, 0.3, 0.4])[:size])
-            found.append((left + size * worth, _servo(best, even, usual, scale)))
+        cost = partial(_left, corners, (even, usual, scale), longest)
+        starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
+        for start in [*starts, *_swinging(shapes, turns if even else np.ones(turns.size), usual)]:
+            left, best = minimum(cost, start, np.array([0.3, 0.3, 0.4, 0.3])[: start.size])
+            found.append((left + start.size * worth, _servo(best, even, usual, scale)))
     least = min(found, key=lambda each: each[0], default=None)
     return (alone, None) if least is None or least[0] > alone else least
+
+
+def _swinging(shapes: Sequence[Shape], sizes: FloatArray, usual: float) -> list[FloatArray]:
+    """Return where to begin to look for a servo that swings, as `_servo` takes it."""
+    seen = [(s, size) for s, size in zip(shapes, sizes.tolist(), strict=True) if s.swing > 0.0]
+    scale = usual * float(np.median(sizes))
+    if seen:
+        lasts = float(np.median([shape.duration / size for shape, size in seen]))
+        lag, swing = (float(np.median([shape[k] for shape, _ in seen])) for k in (2, 3))
+        return [np.array([math.log(max(lasts / usual, _LEAST)), lag / scale, 0.5, swing])]
+    # Half of how long it takes otherwise is made by how it swings.
+    lag = 0.25 * float(np.median([shape.takes for shape in shapes]))
+    return [np.array([math.log(0.5), lag / scale, 0.5, swing]) for swing in SWINGS]

@@ -30,7 +30,15 @@ from itertools import pairwise
 import math
 from typing import Final, NamedTuple
 
-from hapticvision_ros.core.fit.bend import Bend, Corner, ROUNDED, Servo, servo_of, Shape
+from hapticvision_ros.core.fit.bend import (
+    Bend,
+    Corner,
+    ROUNDED,
+    Servo,
+    servo_of,
+    Shape,
+    SWINGS,
+)
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.simplex import minimum
@@ -117,6 +125,8 @@ _QUICK: Final = 24.0
 intervals that this takes at most where it matters."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
+_MOSTLY_ROUNDED: Final = 3.0
+"""Noise of the encoders over that of their rounding, below which the latter tells its size."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
 _ZOOMS: Final = 5
@@ -1300,23 +1310,41 @@ def _known_shape(
         if left <= enough:
             return shape, shift
     _, shape, shift = min(found)
-    return _between(corner, shape, shift, longest), shift
+    left, shape = _between(corner, shape, shift, longest)
+    if left > enough:
+        swinging = []
+        for swing in SWINGS:
+            # Half of how long it takes otherwise is made by how it swings.
+            near = Shape(0.5 * shape.duration, shape.jerk, 0.25 * shape.takes, swing)
+            swinging.append(_between(corner, near, shift, longest))
+        _, other = min(swinging)
+        if other.takes > _FEW_SEEN * float(np.median(np.diff(corner.t))):
+            shape = other
+    return shape, shift
 
 
-def _between(corner: Corner, near: Shape, shift: float, longest: float) -> Shape:
-    """Return the best shape near one of those that are tried, whatever its parts."""
+def _between(corner: Corner, near: Shape, shift: float, longest: float) -> tuple[float, Shape]:
+    """
+    Return the best shape near one of those that are tried, whatever its parts.
+
+    What it leaves of the samples comes first [m^2].
+    """
     scale = max(near.duration, near.lag, 1e-6)
+    size = 4 if near.swing > 0.0 else 3
 
     def shape(x: FloatArray) -> Shape:
         duration = min(max(float(x[0]) * scale, 1e-9), longest)
         soft = min(max(float(x[2]), 0.0), 1.0)
-        return Shape(duration, soft * duration, min(max(float(x[1]), 0.0) * scale, longest))
+        swing = max(float(x[3]), 0.0) if size == 4 else 0.0
+        lag = min(max(float(x[1]), 0.0) * scale, longest)
+        return Shape(duration, soft * duration, lag, swing)
 
     def cost(x: FloatArray) -> float:
         return corner.left(shape(x), shift) / corner.noise**2
 
-    start = np.array([near.duration / scale, near.lag / scale, near.soft])
-    return shape(minimum(cost, start, np.array([0.1, 0.1, 0.3]))[1])
+    start = np.array([near.duration / scale, near.lag / scale, near.soft, near.swing])
+    left, best = minimum(cost, start[:size], np.array([0.1, 0.1, 0.3, 0.3])[:size], turns=200)
+    return left * corner.noise**2, shape(best)
 
 
 def _best_shape(
@@ -1510,7 +1538,8 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     # Held against their stamps: samples may come unevenly, and so may what their stamps say.
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-    noise = NORMAL_FROM_MAD * float(np.median(np.abs(beside))) / math.sqrt(1.5)
+    rounded = rounding(value)
+    noise = _spread(beside, 1.5, rounded)
     steps = np.abs(np.diff(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
     moves = steps > _MOVING * noise
@@ -1521,9 +1550,9 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
             # Readings that round, or none of any noise: what a tool that is accelerated is beside
             # the line is then much, and alike for neighbours.
             off, alike = np.diff(beside)[fast], 5.0
-        noise = max(noise, NORMAL_FROM_MAD * float(np.median(np.abs(off))) / math.sqrt(alike))
+        noise = max(noise, _spread(off, alike, rounded))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
-    noise = max(noise, rounding(value))
+    noise = max(noise, rounded)
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
         resting = np.count_nonzero(steps == 0.0) > 0.1 * steps.size
         changes = int(np.count_nonzero(np.diff(np.flatnonzero(steps)) > 1))
@@ -1531,6 +1560,19 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
         if resting and changes > 0.1 * moving.size:
             noise = max(noise, 0.3 * float(moving.min()))
     return noise
+
+
+def _spread(off: FloatArray, alike: float, rounded: float) -> float:
+    """
+    Return the standard deviation of samples, of sums of them with squared weights of `alike`.
+
+    Of readings that round, these sums are multiples of half a step, and so is their median.
+    """
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(off))) / math.sqrt(alike)
+    if not 0.0 < noise < _MOSTLY_ROUNDED * rounded:
+        return noise
+    usual = off[np.abs(off) < _LEFT_SIGMAS * noise]
+    return float(np.sqrt(np.mean(usual**2))) / math.sqrt(alike)
 
 
 def _thinned(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@
 
 from dataclasses import replace
 
-from hapticvision_ros.core.fit.bend import rounded, servo_of, Shape
+from hapticvision_ros.core.fit.bend import rounded, Servo, servo_of, Shape
 from hapticvision_ros.core.fit.data import _path, arm_of, prepare, tool_path, ToolPath
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
@@ -25,7 +25,7 @@ from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sens
 from hapticvision_ros.sim.specimen import Body
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 STEP = 1e-5
 SPEEDS = (0.0011, 0.0016, 0.0025, 0.0045)
@@ -41,13 +41,32 @@ def _way(t: np.ndarray, speed: float, stop: float, shape: Shape, release: float)
         total = np.cumsum(np.concatenate((np.full(count, speed), followed)))
         followed = (total[count:] - total[:-count]) / count
     if shape.lag:
-        keep = np.exp(-STEP / shape.lag)
-        followed = lfilter([1.0 - keep], [1.0, -keep], followed, zi=[keep * speed])[0]
+        followed = speed + _servo(followed - speed, shape)
     way = np.cumsum(followed) * STEP
     return np.interp(t, fine, way - np.interp(0.0, fine, way)) - 0.001
 
 
-@pytest.mark.parametrize('shape', [SHAPE, Shape(0.05), Shape(0.05, 0.05), Shape(0.02, 0.0, 0.03)])
+def _servo(speed: np.ndarray, shape: Shape) -> np.ndarray:
+    """Return what a servo makes of a speed that begins at zero."""
+    if not shape.swing:
+        keep = np.exp(-STEP / shape.lag)
+        return lfilter([1.0 - keep], [1.0, -keep], speed)
+    servo = ([1.0], [shape.swing * shape.lag**2, shape.lag, 1.0])
+    ahead, back, _ = cont2discrete(servo, STEP, 'foh')
+    return lfilter(ahead.ravel(), back, speed)
+
+
+@pytest.mark.parametrize(
+    'shape',
+    [
+        SHAPE,
+        Shape(0.05),
+        Shape(0.05, 0.05),
+        Shape(0.02, 0.0, 0.03),
+        *(Shape(0.02, 0.01, 0.03, swing) for swing in (0.01, 0.1, 0.25, 0.7, 2.0)),
+        Shape(0.02, 0.0, 0.03, 1.0),
+    ],
+)
 def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
     away = np.linspace(-0.2, 0.4, 601)
     speed = np.where(np.arange(-1.0, 1.0, STEP) < 0.0, 0.0, 1.0)
@@ -58,8 +77,7 @@ def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
         speed = np.roll((total[count:] - total[:-count]) / count, -(count // 2))
     t = np.arange(-1.0, 1.0, STEP)
     if shape.lag:
-        keep = np.exp(-STEP / shape.lag)
-        speed = lfilter([1.0 - keep], [1.0, -keep], speed)
+        speed = _servo(speed, shape)
         t = t - shape.lag
     way = np.interp(away, t, np.cumsum(speed) * STEP) - np.maximum(away, 0.0)
     assert rounded(away, shape) == pytest.approx(way, abs=3e-5)
@@ -87,11 +105,11 @@ def _campaign(
     return made
 
 
-def _off(path: ToolPath, phases: Segmentation, speed: float) -> float:
+def _off(path: ToolPath, phases: Segmentation, speed: float, shape: Shape = SHAPE) -> float:
     """Return by how much the speed of a path is off where the tool stops, relative."""
     begun = phases.t_contact - 0.001 / speed
     near = begun + 0.004 / speed + np.arange(-0.1, 0.25, 0.002)
-    true = _way(near - begun, speed, 0.004 / speed, SHAPE, 0.004 / speed + 4.0)
+    true = _way(near - begun, speed, 0.004 / speed, shape, 0.004 / speed + 4.0)
     off = np.diff(path.at(near) - true) / 0.002 / speed
     return float(np.sqrt(np.mean(off**2)))
 
@@ -172,3 +190,23 @@ def test_one_controller_makes_stops_and_withdrawals_that_last_otherwise() -> Non
         assert alike == (released[0] == brief)
         off.append(abs(servo.shape(-SPEEDS[0]).duration / soft.duration - 1.0))
     assert off[0] < 0.05
+
+
+def test_an_arm_that_goes_beyond_where_it_stops_is_followed() -> None:
+    """A servo of 3 Hz with a damping ratio of a half, through encoders that tell it or not."""
+    shape = Shape(0.03, 0.01, 0.053, 1.0)
+    servo = _follows(_campaign([shape] * 4, 2e-6), shape, 0.01)
+    assert servo.swing == pytest.approx(1.0, rel=0.05)
+    assert servo.lag == pytest.approx(shape.lag, rel=0.02)
+    _follows(_campaign([shape] * 4, 2e-5), shape, 0.1)
+
+
+def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float) -> Servo:
+    """Return the servo of a campaign whose paths go as a shape says, but for `most`."""
+    made, _ = prepare(trials)
+    for trial, (_, phases), speed in zip(made, trials, SPEEDS, strict=True):
+        assert trial is not None and trial.path.t.size <= 8
+        assert _off(trial.path, phases, speed, shape) < most
+    servo, _ = arm_of(trials)
+    assert servo is not None
+    return servo
