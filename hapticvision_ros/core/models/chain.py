@@ -37,7 +37,9 @@ jump with an undamped ringing. The first unit and the flow unit are advanced by 
 solution under a tool of constant speed, or free of force, which makes the three-element model
 exact for steps of any length; further Kelvin-Voigt units by theirs under a constant force; the
 compliances K_0 and K_m, and the speed of a freed mass, by the exponentially fitted rule, which is
-the trapezoidal rule for a short step and the implicit Euler rule for a long one.
+the trapezoidal rule for a short step and the implicit Euler rule for a long one. What the force of
+the compliances falls to goes on itself, by what the Kelvin-Voigt units yield: the rule is that of
+a force that falls to a straight line.
 
 Touch and loss of contact fall inside steps: a step is split there, so that force and surface are
 continuous and differentiable functions of the contact offset, the pull-off force and all others.
@@ -430,6 +432,44 @@ def _respond(  # type: ignore[no-untyped-def]
         d_compliance[j] = dq[j, _C0] + dq[j, _CM]
         compliant = compliant or d_compliance[j] != 0.0
 
+    # What the compliances leave of the force in the end, (v + pace_z z + sum pace_u zu) / fluidity
+    # at a speed v of the tool, rises as fast as the units yield to it: by lead_v v + lead_z z +
+    # sum lead_u zu.
+    pace_z = k1 / c1 if c1 > 0.0 else 0.0
+    yields = pace_z / c1 if c1 > 0.0 else 0.0
+    for k in range(units):
+        yields += ku[k] / (cu[k] * cu[k])
+    lead_v = yields / (fluidity * fluidity)
+    lead_z = pace_z * (yields / fluidity - pace_z) / fluidity
+    lead_u = np.zeros(units)
+    for k in range(units):
+        lead_u[k] = ku[k] / cu[k] * (yields / fluidity - ku[k] / cu[k]) / fluidity
+    d_lead = np.zeros((directions, 2))
+    d_lead_u = np.zeros((directions, units))
+    for j in range(directions):
+        if not compliant:
+            break
+        d_pace = 0.0
+        d_yields = 0.0
+        if c1 > 0.0:
+            d_pace = (dq[j, _K1] - pace_z * dq[j, _C1]) / c1
+            d_yields = (d_pace - pace_z * dq[j, _C1] / c1) / c1
+        for k in range(units):
+            d_yields += (dku[j, k] - 2.0 * ku[k] / cu[k] * dcu[j, k]) / (cu[k] * cu[k])
+        d_share = (d_yields - yields * d_fluidity[j] / fluidity) / fluidity
+        d_lead[j, 0] = (d_share - lead_v * d_fluidity[j]) / fluidity
+        d_lead[j, 1] = d_pace * (yields / fluidity - pace_z) + pace_z * (d_share - d_pace)
+        d_lead[j, 1] = (d_lead[j, 1] - lead_z * d_fluidity[j]) / fluidity
+        for k in range(units):
+            own = ku[k] / cu[k]
+            d_own = (dku[j, k] - own * dcu[j, k]) / cu[k]
+            change = d_own * (yields / fluidity - own) + own * (d_share - d_own)
+            d_lead_u[j, k] = (change - lead_u[k] * d_fluidity[j]) / fluidity
+    lead_weight = 0.0
+    climb = 0.0
+    lead = 0.0
+    machine_lead = 0.0
+
     # State: stretches z (K1), y (flow), zu (units); forces at the step's start of chain and
     # machine; the surface x; the largest stretch so far. Below, a leading d is the tangent.
     z = 0.0
@@ -642,6 +682,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 # Free, nothing but a mass holds the force of the chain, and the machine has none.
                 on = 1.0 if contact else 0.0
                 held_kappa = on * kappa
+                lead_weight = 0.0
+                if contact and compliant:
+                    lead_weight = (1.0 - 0.5 * kappa) * h
                 flow_give = h * c2_inverse
                 waits = (1.0 - kappa) * c0
                 give = flow_give + kappa * c0
@@ -694,17 +737,29 @@ def _respond(  # type: ignore[no-untyped-def]
                 ahead_z = z_give + ahead_give * k1
                 ahead_u = z_give + ahead_give * e
                 held_waits = waits * (1.0 - kappa)
+                lead = 0.0
+                machine_lead = 0.0
                 d_start = d[i] + offset
                 pull = 0.0
                 ahead = 0.0
                 while True:
                     fc = k1 * z
                     x_next = y + ahead_z * z + held_waits * chain_force + fallen
+                    if lead_weight > 0.0:
+                        pull = (d[i + 1] - d[i]) * per_h
+                        climb = lead_v * pull + lead_z * z
+                        for k in range(units):
+                            climb += lead_u[k] * zu[k]
+                        lead = lead_weight * climb
+                        machine_lead = lead_weight * (climb + kp * pull)
+                        x_free += c0 * lead
+                        x_next += waits * lead
                     total = fc + half_kp * (x + x_free)
                     if contact:
                         g = x_free - d_end
                         if cm > 0.0:
                             g += cm * (machine_force + kappa * (total - machine_force))
+                            g += cm * machine_lead
                     else:
                         g = total
                         if massive:
@@ -732,8 +787,9 @@ def _respond(  # type: ignore[no-untyped-def]
                         fallen += kept_twice[k] * stretch
                     z += u
                     y += flow_give * fc
-                    chain_force += kappa * (fc - chain_force)
-                    machine_force = on * (machine_force + kappa * (total - machine_force))
+                    chain_force += kappa * (fc - chain_force) + lead
+                    machine_force += kappa * (total - machine_force) + machine_lead
+                    machine_force *= on
                     x = x_end
                     if massive:
                         speed = pull if contact else speed + swing * per_h * (x_end - ahead)
@@ -751,12 +807,23 @@ def _respond(  # type: ignore[no-untyped-def]
                 x_end = y + z_give * z + waits * chain_force
                 if units > 0:
                     x_end += _fallen(kept_u, zu)
+                lead = 0.0
+                machine_lead = 0.0
+                if lead_weight > 0.0:
+                    pull = (d[i + 1] - d[i]) * per_h
+                    climb = lead_v * pull + lead_z * z
+                    for k in range(units):
+                        climb += lead_u[k] * zu[k]
+                    lead = lead_weight * climb
+                    machine_lead = lead_weight * (climb + kp * pull)
+                    x_end += c0 * lead
                 fc = k1 * z
                 total = fc + half_kp * (x + x_end)
                 if contact:
                     g = x_end - d_end
                     if cm > 0.0:
                         g += cm * (machine_force + kappa * (total - machine_force))
+                        g += cm * machine_lead
                 else:
                     g = total
                 u = -g * inverse
@@ -775,15 +842,27 @@ def _respond(  # type: ignore[no-untyped-def]
                     break
                 fc += e * u
                 jump = fc - chain_force
-                chain_end = chain_force + kappa * jump
+                chain_end = chain_force + kappa * jump + lead
                 machine_jump = total - machine_force
-                machine_end = machine_force + kappa * machine_jump
+                machine_end = machine_force + kappa * machine_jump + machine_lead
                 x_mid = 0.5 * (x + x_end)
                 for j in range(directions):
                     dfc = bent[j, _B_K1] * z + bent[j, _B_E] * u + k1 * dz[j]
                     d_flow = bent[j, _B_FLOW] * fc
                     d_sum = dz[j] + dy[j] + d_flow + give * dfc
                     d_sum += waits * d_chain_force[j]
+                    dl = 0.0
+                    d_machine_lead = 0.0
+                    if lead_weight > 0.0:
+                        d_climb = d_lead[j, 0] * pull + d_lead[j, 1] * z + lead_z * dz[j]
+                        for k in range(units):
+                            started = dzu[j, k] + unit_give[k] * d_fc[j]
+                            d_climb += d_lead_u[j, k] * zu[k] + lead_u[k] * started
+                        bend = -0.5 * h * bent[j, _B_END]
+                        dl = lead_weight * d_climb + bend * climb
+                        d_machine_lead = dl + lead_weight * bent[j, _B_KP] * pull
+                        d_machine_lead += bend * kp * pull
+                    d_sum += c0 * dl
                     d_sum += bent[j, _B_C0] * chain_end + c0 * bent[j, _B_END] * jump
                     if units > 0:
                         d_sum += _fallen_tangent(j, unit_give, d_fc[j], kept_u, dzu)
@@ -791,6 +870,7 @@ def _respond(  # type: ignore[no-untyped-def]
                             d_sum += _bent_tangent(j, d_kept, zu, d_unit_give, fc, dzu)
                     d_total = dfc + half_kp * (dx[j] + d_sum) + bent[j, _B_KP] * x_mid
                     d_machine = (1.0 - kappa) * d_machine_force[j] + bent[j, _B_END] * machine_jump
+                    d_machine += d_machine_lead
                     dg = d_total
                     if contact:
                         dg = d_sum - bent[j, _B_OFF] + bent[j, _B_CM] * machine_end
@@ -804,6 +884,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     dx[j] = d_sum
                     d_fc[j] = dfc
                     d_chain_force[j] += kappa * (dfc - d_chain_force[j]) + bent[j, _B_END] * jump
+                    d_chain_force[j] += dl
                     d_machine_force[j] = on * d_machine + held_kappa * d_total
                     d_force[j, i] = on * d_total
                     if massive:
@@ -886,7 +967,20 @@ def _respond(  # type: ignore[no-untyped-def]
             end = kappa if touching or mass > 0.0 else 1.0
             inert = swing * mass / (hs * hs)
             ahead = x + hs * speed
-            rest = z + y + (1.0 - end) * c0 * chain_force
+            pull = (d[i + 1] - d[i]) / h
+            lead = 0.0
+            machine_lead = 0.0
+            climb = 0.0
+            grown = 1.0
+            if touching and compliant:
+                climb = lead_v * pull + lead_z * z
+                for k in range(units):
+                    climb += lead_u[k] * zu[k]
+                if m != 0.0:
+                    grown = (x * d_ref_inverse) ** m if x > 0.0 else 0.0
+                lead = (1.0 - 0.5 * kappa) * hs * climb
+                machine_lead = (1.0 - 0.5 * kappa) * hs * (grown * climb + kp * pull)
+            rest = z + y + c0 * ((1.0 - end) * chain_force + lead)
             for k in range(units):
                 rest += zu[k] * (1.0 - left_u[k])
             ce = unit_compliance + end * c0
@@ -907,6 +1001,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 total_slope = slope + 0.5 * x_slope * kp
                 if touching:
                     g = x_end - target + cm * (machine_force + end * (total - machine_force))
+                    g += cm * machine_lead
                     g_slope = x_slope + cm * end * total_slope
                 else:
                     g = total + inert * (x_end - ahead)
@@ -943,6 +1038,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     total_slope = growth * slope + 0.5 * x_slope * (d_growth * fc + kp)
                     if touching:
                         g = x_end - target + cm * (machine_force + end * (total - machine_force))
+                        g += cm * machine_lead
                         g_slope = x_slope + cm * end * total_slope
                     elif kp == 0.0 and mass == 0.0:
                         g = fc
@@ -961,7 +1057,6 @@ def _respond(  # type: ignore[no-untyped-def]
                 x_mid = 0.5 * (x + x_end)
                 total += total_slope * change
                 middle += 0.5 * change
-            pull = (d[i + 1] - d[i]) / h
             thrust = mass * (pull - speed) / (h if stage == _FIRST else hs)
             probing = stage == _FIRST or (stage == _LAST and shortened < _SHORTENED)
             if touching and stage == _LOOK:
@@ -1045,6 +1140,21 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_inert *= per_hs * per_hs
                         d_inert -= 2.0 * inert * per_hs * dhs
                     d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
+                    dl = 0.0
+                    d_machine_lead = 0.0
+                    if touching and compliant:
+                        d_climb = d_lead[j, 0] * pull + d_lead[j, 1] * z + lead_z * dz[j]
+                        for k in range(units):
+                            d_climb += d_lead_u[j, k] * zu[k] + lead_u[k] * dzu[j, k]
+                        weight = 1.0 - 0.5 * kappa
+                        bend = weight * dhs - 0.5 * hs * d_end_weight
+                        dl = weight * hs * d_climb + bend * climb
+                        d_grown = 0.0
+                        if x > 0.0 and (m != 0.0 or dq[j, _M] != 0.0):
+                            d_grown = grown * (np.log(x / d_ref) * dq[j, _M] + m * dx[j] / x)
+                        d_machine_lead = weight * hs * (grown * d_climb + d_grown * climb)
+                        d_machine_lead += weight * hs * dq[j, _KP] * pull
+                        d_machine_lead += bend * (grown * climb + kp * pull)
                     for k in range(units):
                         kept = 1.0 - left_u[k]
                         dzu[j, k] = (
@@ -1055,8 +1165,8 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_sum += dzu[j, k]
                     if c0 > 0.0 or dq[j, _C0] != 0.0:
                         jump = fc - chain_force
-                        d_sum += dq[j, _C0] * (chain_force + end * jump)
-                        d_sum += c0 * ((1.0 - end) * d_chain_force[j] + d_end_weight * jump)
+                        d_sum += dq[j, _C0] * (chain_force + end * jump + lead)
+                        d_sum += c0 * ((1.0 - end) * d_chain_force[j] + d_end_weight * jump + dl)
                     d_sum += (hs * fluid + ce) * dfc
                     d_mid = 0.5 * (dx[j] + d_sum)
                     d_scale = d_growth * d_mid
@@ -1069,11 +1179,12 @@ def _respond(  # type: ignore[no-untyped-def]
                             dg -= pull * dhs
                         if cm > 0.0 or dq[j, _CM] != 0.0:
                             jump = total - machine_force
-                            dg += dq[j, _CM] * (machine_force + end * jump)
+                            dg += dq[j, _CM] * (machine_force + end * jump + machine_lead)
                             dg += cm * (
                                 d_machine_force[j]
                                 + end * (d_total - d_machine_force[j])
                                 + d_end_weight * jump
+                                + d_machine_lead
                             )
                     elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive:
                         dg = dfc
@@ -1106,12 +1217,13 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_speed[j] += d_swing_weight * per_hs * (x_end - ahead)
                     if touching or mass > 0.0:
                         d_chain_force[j] += end * (dfc - d_chain_force[j])
-                        d_chain_force[j] += d_end_weight * (fc - chain_force)
+                        d_chain_force[j] += d_end_weight * (fc - chain_force) + dl
                     else:
                         d_chain_force[j] = dfc
                     if touching:
                         d_machine_force[j] += end * (d_total - d_machine_force[j])
                         d_machine_force[j] += d_end_weight * (total - machine_force)
+                        d_machine_force[j] += d_machine_lead
                         d_force[j, i] = d_total * share + total * dhs / h
                         d_force[j, i] += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
                         d_speed[j] = 0.0
@@ -1167,11 +1279,11 @@ def _respond(  # type: ignore[no-untyped-def]
             rate = u / hs
             steady = stage == _LOOK and contact == touching
             if touching or mass > 0.0:
-                chain_force += end * (fc - chain_force)
+                chain_force += end * (fc - chain_force) + lead
             else:
                 chain_force = fc
             if touching:
-                machine_force += end * (total - machine_force)
+                machine_force += end * (total - machine_force) + machine_lead
                 force[i] = (total + thrust) * share
                 speed = pull
             else:

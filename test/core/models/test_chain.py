@@ -242,6 +242,26 @@ def test_half_the_step_is_a_quarter_of_the_error(name: str) -> None:
     assert errors[2] < errors[1] / 3.3
 
 
+STIFF = {
+    'series spring': Body(K_0=1e5, C1=2000.0),
+    'machine': Body(K_m=1e5, C1=2000.0),
+    'machine with a parallel spring': Body(K_m=1e5, C1=2000.0, K_p=800.0),
+    'with a second unit': Body(K_0=1e5, C1=2000.0, units=((15000.0, 9000.0),)),
+}
+
+
+@pytest.mark.parametrize('name', STIFF)
+def test_a_stiff_spring_is_followed_over_long_and_uneven_steps(name: str) -> None:
+    """A spring that gives within 20 ms, through steps of 20 to 90 ms, as of stamps that jitter."""
+    body = STIFF[name]
+    steps = np.random.default_rng(3).uniform(0.02, 0.09, 400)
+    t = np.unique(np.concatenate((np.cumsum(steps)[np.cumsum(steps) < 15.0], KNOT_T[:3])))
+    force, _, _ = _reference(body, t)
+    found = respond(t, np.interp(t, KNOT_T, KNOT_D), body.chain()).force
+    smooth = (np.abs(t[1:] - 5.0) > 0.5) & (t[1:] > 0.5)
+    assert np.abs(found - force)[smooth].max() < 2e-4 * force.max()
+
+
 def test_the_base_is_the_exact_model_of_the_paper_through_push_hold_and_recovery() -> None:
     # Eqs. (8), (10) and (12), in the closed form of the three-element model.
     t = np.linspace(0.0, 100.0, 20001)
