@@ -309,7 +309,7 @@ class Workbench:
         states = [begin]
         added = [name for name in model.effects if name not in near.model.effects]
         if added:
-            states = self._starts(problem, begin, near, added)
+            states = self._likeliest(problem, self._starts(problem, begin, near, added), near)
         left = []
         for state in states:
             residual, jacobian = problem.evaluate(state)
@@ -515,6 +515,29 @@ class Workbench:
         for state in states:
             turn_phases(problem, state)
         return states
+
+    def _likeliest(
+        self, problem: Problem, states: list[FloatArray], near: Refit
+    ) -> list[FloatArray]:
+        """Return what leaves least of many states, which need no derivatives for that; in order."""
+        if len(states) <= _CLOSE_BY:
+            return states
+        filters = self.whiteners(near.force_noise, near.height_noise, near.jumps)
+
+        def leaves(state: FloatArray) -> float:
+            total = 0.0
+            for index, (of_force, of_height) in enumerate(filters):
+                force, height = self.residual(problem, state, index)
+                white = of_force(force[np.newaxis])[0]
+                total += float(white @ white)
+                if of_height is not None:
+                    white = of_height(height[np.newaxis])[0]
+                    total += float(white @ white)
+            return total if math.isfinite(total) else math.inf
+
+        left = np.array([leaves(state) for state in states])
+        chosen = np.sort(np.argsort(left, kind='stable')[:_CLOSE_BY])
+        return [states[k] for k in chosen.tolist()]
 
     def scale(self, near: Refit) -> Scale:
         """Return what the campaign looks like beside a refit."""

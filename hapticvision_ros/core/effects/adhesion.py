@@ -22,8 +22,15 @@ from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect
 from hapticvision_ros.core.models.chain import Slot
 import numpy as np
 
-_PULLS: Final = tuple(np.geomspace(0.1, 3.3, 32).tolist())
-"""Pull-off forces that are tried, over the pull that is seen."""
+_PULLS: Final = (
+    *np.geomspace(0.1, 0.6, 16).tolist(),
+    *np.geomspace(0.615, 1.6, 40).tolist(),
+    *np.geomspace(1.78, 3.3, 6).tolist(),
+)
+"""
+Pull-off forces that are tried, over the pull that is seen. An object that springs back faster than
+the tool withdraws is let go several times, and the force that does so is known to a few percent.
+"""
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:

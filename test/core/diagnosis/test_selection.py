@@ -39,7 +39,7 @@ from hapticvision_ros.core.diagnosis.selection import (
 from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.campaign import Blur, SHARPEST
 from hapticvision_ros.sim.campaigns import ForceNoise
-from hapticvision_ros.sim.specimen import Undeclared
+from hapticvision_ros.sim.specimen import Body, Undeclared
 import numpy as np
 import pytest
 
@@ -372,6 +372,22 @@ def test_a_pull_that_comes_slowly_is_found_at_whatever_noise_makes_it_look_like(
     assert found.refit is not None
     assert found.gain > 150.0
     assert found.refit.model.values(found.refit.theta)[3] == pytest.approx(0.4, rel=0.1)
+
+
+def test_a_pull_that_lets_go_several_times_is_found(world: Any) -> None:
+    """The object springs back faster than the tool withdraws: a few percent off is all off."""
+    campaign = world.campaign(rate=500.0)
+    campaign = replace(
+        campaign,
+        body=Body(1000.0, 600.0, 16_000.0),
+        pushes=tuple(replace(push, release_speed=0.001) for push in campaign.pushes),
+        sensors=replace(campaign.sensors, force_noise=ForceNoise(0.006)),
+    )
+    bench, base = world.measure(campaign, Undeclared('adhesion', (0.2,)), seed=1).bench()
+    (found,) = try_all(bench, base, ['adhesion'])
+    assert found.refit is not None
+    assert found.gain > 5000.0
+    assert found.refit.model.values(found.refit.theta)[3] == pytest.approx(0.2, rel=0.01)
 
 
 def test_what_draws_jumps_out_as_the_leader_does_is_tried_though_it_promises_nothing(
