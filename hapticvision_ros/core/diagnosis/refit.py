@@ -519,7 +519,7 @@ class Workbench:
     def _likeliest(
         self, problem: Problem, states: list[FloatArray], near: Refit
     ) -> list[FloatArray]:
-        """Return what leaves least of many states, which need no derivatives for that; in order."""
+        """Return what leaves least of many states: that needs no derivatives."""
         if len(states) <= _CLOSE_BY:
             return states
         filters = self.whiteners(near.force_noise, near.height_noise, near.jumps)
