@@ -110,6 +110,8 @@ _TREND: Final = 4.0
 """How far a jump may be moved, and half the window that the trend is seen in, over its error."""
 _FARTHEST_ONSET: Final = 5.0
 """The onset is at most so many errors of the detection from the detected contact."""
+_REST_STEP: Final = 0.1
+"""Change of where a tool is held, over its standard deviation, that shows what it does."""
 _MEMORY: Final = 0.01
 _MEMORY_SAMPLES: Final = 20
 """Longest memory of a sensor's noise, over the record or in samples, where no more is seen."""
@@ -359,7 +361,8 @@ class Problem:
     The least-squares problem of a campaign: whitened residuals and Jacobian.
 
     The state holds the p shared parameters (theta), then for each trial its q own parameters, the
-    logarithms by which its K1, C1 and C2 differ from the shared ones where trials scatter, its
+    logarithms by which its K1, C1 and C2 differ from the shared ones where trials scatter, by how
+    much deeper the tool is held than it is taken to be where its encoders leave that open, its
     force zero and its height zero, as far as its record can tell them.
 
     Parameters
@@ -438,6 +441,7 @@ class Problem:
         return [
             *self.model.trial_names,
             *[f'scatter of {name}' for name in self.model.names[: self.scatter.size]],
+            *(['rest'] if trial.rest_std > 0.0 else []),
             *(['force_zero'] if trial.has_force_zero else []),
             *(['height_zero'] if trial.has_height_zero else []),
         ]
@@ -446,9 +450,15 @@ class Problem:
         """Return a trial's own parameters and the zeros of its force and height."""
         values = state[self.places[index]]
         trial = self.trials[index]
-        force_zero = float(values[self.q + self.scatter.size]) if trial.has_force_zero else 0.0
+        place = self._rest + (trial.rest_std > 0.0)
+        force_zero = float(values[place]) if trial.has_force_zero else 0.0
         height_zero = float(values[-1]) if trial.has_height_zero else 0.0
         return values[: self.q], force_zero, height_zero
+
+    @property
+    def _rest(self) -> int:
+        """Return the place among a trial's own parameters of where the tool is held."""
+        return self.q + self.scatter.size
 
     def predict(
         self, state: FloatArray, index: int, trial: FitTrial | None = None, *, directions: bool
@@ -462,6 +472,8 @@ class Problem:
             theta[: self.scatter.size] += state[first:last]
         if trial is None:
             trial = self.trials[index]
+        if trial.rest_std > 0.0:
+            trial = trial.held(float(state[self.places[index].start + self._rest]))
         own = self.own(state, index)[0]
         return self.model.predict(trial, theta, own, directions=directions, turns=trial.turns)
 
@@ -489,6 +501,15 @@ class Problem:
             force[given + k] = prediction.d_force[k]
             height[given + k] = prediction.d_height[k]
         given += self.scatter.size
+        if trial.rest_std > 0.0:
+            # Almost linear: a small step does.
+            step = _REST_STEP * trial.rest_std
+            moved = state.copy()
+            moved[self.places[index].start + self._rest] += step
+            other = self.predict(moved, index, directions=False)
+            force[given] = (other.force - prediction.force) / step
+            height[given] = (other.height - prediction.height) / step
+            given += 1
         if trial.has_force_zero:
             force[given] = 1.0
         if trial.has_height_zero:
@@ -559,8 +580,11 @@ class Problem:
         # The onset is near the detected contact, and trials are alike.
         known = [0, *range(self.q, self.q + self.scatter.size)]
         weights = [1.0 / trial.onset_std, *(1.0 / self.scatter)]
+        if trial.rest_std > 0.0:
+            known.append(self._rest)
+            weights.append(1.0 / trial.rest_std)
         if trial.has_force_zero:
-            known.append(self.q + self.scatter.size)
+            known.append(self._rest + (trial.rest_std > 0.0))
             weights.append(1.0 / (_ZERO * trial.peak_force))
         return np.array(known, dtype=np.intp), np.array(weights)
 

@@ -24,6 +24,7 @@ the encoders' samples, as many as it takes to follow them within their noise.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -146,6 +147,10 @@ _SOFT: Final = (0.0, 0.5, 1.0)
 _BRIEFEST: Final = 0.05
 """Of a lag, below which how long an acceleration lasts makes no difference."""
 _LAG_ZOOMS: Final = 3
+_COARSE_REST: Final = 5e-4
+"""Half a step of the encoders over the depth, from which on it matters where a tool rests."""
+_SPEED_STEP: Final = 1e-5
+"""Time over which a speed is looked at [s]."""
 _STILL: Final = 0.9
 """Part of the readings of a tool at rest that are one and the same."""
 _NO_WORSE: Final = 1.2
@@ -186,6 +191,23 @@ class Samples:
     missing: NDArray[np.bool_] | None = None
 
 
+class Rest(NamedTuple):
+    """
+    How well encoders that round tell where a tool is held.
+
+    Parameters
+    ----------
+    t : float
+        When it stops [s].
+    std : float
+        Standard deviation of where it is beside what is taken [m].
+
+    """
+
+    t: float
+    std: float
+
+
 @dataclass(frozen=True, slots=True)
 class ToolPath:
     """
@@ -203,6 +225,8 @@ class ToolPath:
         Interval between two samples of the encoders where they are dense [s].
     servo : Servo or None
         How the arm changes its speed, where the campaign tells it.
+    rest : Rest or None
+        How well encoders that round tell where the tool is held.
 
     """
 
@@ -212,6 +236,7 @@ class ToolPath:
     bends: tuple[Bend, ...] = ()
     interval: float = 0.0
     servo: Servo | None = None
+    rest: Rest | None = None
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -220,6 +245,46 @@ class ToolPath:
             first, last = np.searchsorted(t, (bend.start, bend.stop))
             result[first:last] += bend.beyond(t[first:last])
         return result
+
+    def resting(self, t: FloatArray) -> FloatArray:
+        """
+        Return how a tool that is held elsewhere than it is taken to be is beside its path.
+
+        It stops and goes on the earlier or the later by that, and is where the encoders tell it
+        while it moves.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            From nothing to all of it [-].
+
+        """
+        beside = np.zeros(t.size)
+        if self.rest is None:
+            return beside
+        stop = int(np.argmin(np.abs(self.t - self.rest.t)))
+        if not 0 < stop < self.t.size - 1:
+            return beside
+        slopes = np.diff(self.displacement) / np.diff(self.t)
+        middle = 0.5 * float(self.t[stop] + self.t[stop + 1])
+        for k in (stop, stop + 1):
+            moving = slopes[k - 1] if k == stop else (slopes[k] if k < slopes.size else 0.0)
+            if moving == 0.0:
+                # It is held until the end.
+                beside[t > middle] = 1.0
+                continue
+            edges = [self.t[k]]
+            edges += [e for b in self.bends if b.t == self.t[k] for e in (b.start, b.stop)]
+            low, high = (min(edges), middle) if k == stop else (middle, max(edges))
+            inside = (t >= low) & (t <= high)
+            speed = self.at(t[inside] + _SPEED_STEP) - self.at(t[inside] - _SPEED_STEP)
+            beside[inside] = 1.0 - speed / (2.0 * _SPEED_STEP * moving)
+        return beside
 
     @property
     def events(self) -> list[float]:
@@ -389,6 +454,30 @@ class FitTrial:
         apart = np.diff(looks, prepend=-np.inf)
         kept = np.minimum(away, apart) > _SHORTEST_PART * _LOOKS * step
         return np.asarray(looks[kept], dtype=np.float64)
+
+    @property
+    def rest_std(self) -> float:
+        """Return how well the encoders tell where the tool is held [m]; zero if well enough."""
+        return 0.0 if self.path.rest is None else self.path.rest.std
+
+    @cached_property
+    def _resting(self) -> tuple[FloatArray, FloatArray]:
+        split = self.turns
+        of_turns = np.empty(0) if split is None else self.path.resting(split.t)
+        return self.path.resting(self.t), of_turns
+
+    def held(self, shift: float) -> 'FitTrial':
+        """Return the trial of a tool that is held deeper by `shift` [m]."""
+        if shift == 0.0:
+            return self
+        beside, of_turns = self._resting
+        split = self.turns
+        moved = copy(self)
+        moved.__dict__['displacement'] = self.displacement + shift * beside
+        if split is not None:
+            displacement = split.displacement + shift * of_turns
+            moved.__dict__['turns'] = replace(split, displacement=displacement)
+        return moved
 
     @property
     def touch_reach(self) -> float:
@@ -1083,6 +1172,7 @@ def _path(
         tuple(turn.bend for turn in turns if turn.bend.stop > turn.bend.start),
         float(np.quantile(np.diff(t), _DENSE)),
         servo,
+        _rest(turns, phases, float(value.max())),
     )
     # On its way there and back the tool may be commanded otherwise than on the object.
     end = phases.t_end if phases.t_loss is None else phases.t_loss
@@ -1091,6 +1181,19 @@ def _path(
     return path, [
         turn for turn in turns if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
     ]
+
+
+def _rest(turns: Sequence[_Turned], phases: Segmentation, depth: float) -> Rest | None:
+    """Return how well it is known where the tool is held; None if that is no matter."""
+    held = [turn for turn in turns if turn.corner.is_stop and turn.corner.rest == 1]
+    if not held or phases.t_hold is None:
+        return None
+    t_hold = phases.t_hold
+    stop = min(held, key=lambda turn: abs(turn.bend.t - t_hold))
+    coarse = stop.corner.coarse
+    if coarse < _COARSE_REST * depth or not stop.bend.t < (phases.t_release or math.inf):
+        return None
+    return Rest(stop.bend.t, coarse / math.sqrt(3.0))
 
 
 def _above(start: float, stop: float, knots: FloatArray) -> int:

@@ -299,6 +299,62 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
     return gone / left, (d_gone * left + gone * (d_gone * r + gone)) / (left * left)
 
 
+@kernel(error_model='numpy')
+def _lead(  # type: ignore[no-untyped-def]
+    h, stiffness, viscosity, fluidity, d_stiffness, d_viscosity, d_fluidity, lead, lead_h, d_lead
+):
+    """
+    Set how fast that rises to which the force of the compliances falls within a step.
+
+    It is (v + sum k z / c) / fluidity for a tool of speed v, and rises as the units yield to it,
+    each by no more than it has to: by `lead` times v and the z of the units, all in a row.
+    `lead_h` is its slope in the length of the step, `d_lead` along the directions.
+    """
+    lead[:] = 0.0
+    lead_h[:] = 0.0
+    d_lead[:] = 0.0
+    yields = 0.0
+    yields_h = 0.0
+    for k in range(stiffness.size):
+        if viscosity[k] == 0.0:
+            continue
+        pace = stiffness[k] / viscosity[k]
+        x = pace * h
+        part = -np.expm1(-x) / x
+        part_x = (np.exp(-x) - part) / x
+        if x < 1e-3:
+            part_x = x / 3.0 - 0.5
+        give = pace / viscosity[k]
+        yields += part * give
+        yields_h += part_x * pace * give
+        lead[1 + k] = -part * pace * pace / fluidity
+        lead_h[1 + k] = -part_x * pace * pace * pace / fluidity
+        for j in range(d_lead.shape[0]):
+            d_pace = (d_stiffness[j, k] - pace * d_viscosity[j, k]) / viscosity[k]
+            d_part = part_x * h * d_pace
+            d_lead[j, 0] += d_part * give
+            d_lead[j, 0] += part * (d_pace - give * d_viscosity[j, k]) / viscosity[k]
+            d_lead[j, 1 + k] = -(d_part * pace + 2.0 * part * d_pace) * pace / fluidity
+            d_lead[j, 1 + k] -= lead[1 + k] * d_fluidity[j] / fluidity
+    share = yields / fluidity
+    for j in range(d_lead.shape[0]):
+        d_lead[j, 0] = (d_lead[j, 0] - share * d_fluidity[j]) / fluidity
+    for k in range(stiffness.size):
+        if viscosity[k] == 0.0:
+            continue
+        pace = stiffness[k] / viscosity[k]
+        lead[1 + k] += pace * share / fluidity
+        lead_h[1 + k] += pace * yields_h / (fluidity * fluidity)
+        for j in range(d_lead.shape[0]):
+            d_pace = (d_stiffness[j, k] - pace * d_viscosity[j, k]) / viscosity[k]
+            change = d_pace * share + pace * (d_lead[j, 0] - share * d_fluidity[j] / fluidity)
+            d_lead[j, 1 + k] += change / fluidity
+    lead[0] = share / fluidity
+    lead_h[0] = yields_h / (fluidity * fluidity)
+    for j in range(d_lead.shape[0]):
+        d_lead[j, 0] = (d_lead[j, 0] - lead[0] * d_fluidity[j]) / fluidity
+
+
 @kernel(inline='always', error_model='numpy')
 def _retarded_unit(  # type: ignore[no-untyped-def]
     u, z, z_max, h, k1, c1, against, beta, damage, d_ref
@@ -432,39 +488,21 @@ def _respond(  # type: ignore[no-untyped-def]
         d_compliance[j] = dq[j, _C0] + dq[j, _CM]
         compliant = compliant or d_compliance[j] != 0.0
 
-    # What the compliances leave of the force in the end, (v + pace_z z + sum pace_u zu) / fluidity
-    # at a speed v of the tool, rises as fast as the units yield to it: by lead_v v + lead_z z +
-    # sum lead_u zu.
-    pace_z = k1 / c1 if c1 > 0.0 else 0.0
-    yields = pace_z / c1 if c1 > 0.0 else 0.0
-    for k in range(units):
-        yields += ku[k] / (cu[k] * cu[k])
-    lead_v = yields / (fluidity * fluidity)
-    lead_z = pace_z * (yields / fluidity - pace_z) / fluidity
-    lead_u = np.zeros(units)
-    for k in range(units):
-        lead_u[k] = ku[k] / cu[k] * (yields / fluidity - ku[k] / cu[k]) / fluidity
-    d_lead = np.zeros((directions, 2))
-    d_lead_u = np.zeros((directions, units))
+    # The units of the chain in one row, with the first.
+    row_k = np.empty(units + 1)
+    row_c = np.empty(units + 1)
+    row_k[0], row_c[0] = k1, c1
+    row_k[1:] = ku
+    row_c[1:] = cu
+    d_row_k = np.empty((directions, units + 1))
+    d_row_c = np.empty((directions, units + 1))
     for j in range(directions):
-        if not compliant:
-            break
-        d_pace = 0.0
-        d_yields = 0.0
-        if c1 > 0.0:
-            d_pace = (dq[j, _K1] - pace_z * dq[j, _C1]) / c1
-            d_yields = (d_pace - pace_z * dq[j, _C1] / c1) / c1
-        for k in range(units):
-            d_yields += (dku[j, k] - 2.0 * ku[k] / cu[k] * dcu[j, k]) / (cu[k] * cu[k])
-        d_share = (d_yields - yields * d_fluidity[j] / fluidity) / fluidity
-        d_lead[j, 0] = (d_share - lead_v * d_fluidity[j]) / fluidity
-        d_lead[j, 1] = d_pace * (yields / fluidity - pace_z) + pace_z * (d_share - d_pace)
-        d_lead[j, 1] = (d_lead[j, 1] - lead_z * d_fluidity[j]) / fluidity
-        for k in range(units):
-            own = ku[k] / cu[k]
-            d_own = (dku[j, k] - own * dcu[j, k]) / cu[k]
-            change = d_own * (yields / fluidity - own) + own * (d_share - d_own)
-            d_lead_u[j, k] = (change - lead_u[k] * d_fluidity[j]) / fluidity
+        d_row_k[j, 0], d_row_c[j, 0] = dq[j, _K1], dq[j, _C1]
+        d_row_k[j, 1:] = dku[j]
+        d_row_c[j, 1:] = dcu[j]
+    leads = np.zeros(units + 2)
+    leads_h = np.zeros(units + 2)
+    d_leads = np.zeros((directions, units + 2))
     lead_weight = 0.0
     climb = 0.0
     lead = 0.0
@@ -685,6 +723,18 @@ def _respond(  # type: ignore[no-untyped-def]
                 lead_weight = 0.0
                 if contact and compliant:
                     lead_weight = (1.0 - 0.5 * kappa) * h
+                    _lead(
+                        h,
+                        row_k,
+                        row_c,
+                        fluidity,
+                        d_row_k,
+                        d_row_c,
+                        d_fluidity,
+                        leads,
+                        leads_h,
+                        d_leads,
+                    )
                 flow_give = h * c2_inverse
                 waits = (1.0 - kappa) * c0
                 give = flow_give + kappa * c0
@@ -747,9 +797,9 @@ def _respond(  # type: ignore[no-untyped-def]
                     x_next = y + ahead_z * z + held_waits * chain_force + fallen
                     if lead_weight > 0.0:
                         pull = (d[i + 1] - d[i]) * per_h
-                        climb = lead_v * pull + lead_z * z
+                        climb = leads[0] * pull + leads[1] * z
                         for k in range(units):
-                            climb += lead_u[k] * zu[k]
+                            climb += leads[2 + k] * zu[k]
                         lead = lead_weight * climb
                         machine_lead = lead_weight * (climb + kp * pull)
                         x_free += c0 * lead
@@ -811,9 +861,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 machine_lead = 0.0
                 if lead_weight > 0.0:
                     pull = (d[i + 1] - d[i]) * per_h
-                    climb = lead_v * pull + lead_z * z
+                    climb = leads[0] * pull + leads[1] * z
                     for k in range(units):
-                        climb += lead_u[k] * zu[k]
+                        climb += leads[2 + k] * zu[k]
                     lead = lead_weight * climb
                     machine_lead = lead_weight * (climb + kp * pull)
                     x_end += c0 * lead
@@ -854,10 +904,10 @@ def _respond(  # type: ignore[no-untyped-def]
                     dl = 0.0
                     d_machine_lead = 0.0
                     if lead_weight > 0.0:
-                        d_climb = d_lead[j, 0] * pull + d_lead[j, 1] * z + lead_z * dz[j]
+                        d_climb = d_leads[j, 0] * pull + d_leads[j, 1] * z + leads[1] * dz[j]
                         for k in range(units):
                             started = dzu[j, k] + unit_give[k] * d_fc[j]
-                            d_climb += d_lead_u[j, k] * zu[k] + lead_u[k] * started
+                            d_climb += d_leads[j, 2 + k] * zu[k] + leads[2 + k] * started
                         bend = -0.5 * h * bent[j, _B_END]
                         dl = lead_weight * d_climb + bend * climb
                         d_machine_lead = dl + lead_weight * bent[j, _B_KP] * pull
@@ -960,6 +1010,18 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_kept[j, k] *= 1.0 - left_u[k]
                 if compliant:
                     kappa, d_kappa = _end_weight(compliance / (hs * fluidity))
+                    _lead(
+                        hs,
+                        row_k,
+                        row_c,
+                        fluidity,
+                        d_row_k,
+                        d_row_c,
+                        d_fluidity,
+                        leads,
+                        leads_h,
+                        d_leads,
+                    )
                 if massive:
                     held = c0 + stiff / k1 + hs * fluidity
                     swing, d_swing = _end_weight(mass * held / (hs * hs))
@@ -973,9 +1035,9 @@ def _respond(  # type: ignore[no-untyped-def]
             climb = 0.0
             grown = 1.0
             if touching and compliant:
-                climb = lead_v * pull + lead_z * z
+                climb = leads[0] * pull + leads[1] * z
                 for k in range(units):
-                    climb += lead_u[k] * zu[k]
+                    climb += leads[2 + k] * zu[k]
                 if m != 0.0:
                     grown = (x * d_ref_inverse) ** m if x > 0.0 else 0.0
                 lead = (1.0 - 0.5 * kappa) * hs * climb
@@ -1143,9 +1205,11 @@ def _respond(  # type: ignore[no-untyped-def]
                     dl = 0.0
                     d_machine_lead = 0.0
                     if touching and compliant:
-                        d_climb = d_lead[j, 0] * pull + d_lead[j, 1] * z + lead_z * dz[j]
+                        d_climb = (d_leads[j, 0] + leads_h[0] * dhs) * pull
+                        d_climb += (d_leads[j, 1] + leads_h[1] * dhs) * z + leads[1] * dz[j]
                         for k in range(units):
-                            d_climb += d_lead_u[j, k] * zu[k] + lead_u[k] * dzu[j, k]
+                            d_climb += (d_leads[j, 2 + k] + leads_h[2 + k] * dhs) * zu[k]
+                            d_climb += leads[2 + k] * dzu[j, k]
                         weight = 1.0 - 0.5 * kappa
                         bend = weight * dhs - 0.5 * hs * d_end_weight
                         dl = weight * hs * d_climb + bend * climb

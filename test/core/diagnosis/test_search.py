@@ -249,9 +249,9 @@ def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     )
     found = diagnose(made)
     assert (found.status, found.effects) == ('none', ())
-    # By what the encoders alone tell of the stops, something would be left.
+    # By what the encoders alone tell of the stops, there would be something.
     monkeypatch.setattr(search, '_otherwise', lambda *_: None)
-    assert diagnose(made).status == 'unexplained'
+    assert diagnose(made).status != 'none'
 
 
 @pytest.mark.parametrize('seed', range(2))

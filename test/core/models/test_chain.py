@@ -262,6 +262,16 @@ def test_a_stiff_spring_is_followed_over_long_and_uneven_steps(name: str) -> Non
     assert np.abs(found - force)[smooth].max() < 2e-4 * force.max()
 
 
+def test_a_unit_that_yields_at_once_on_a_soft_spring_is_followed_as_well() -> None:
+    """Within a hundredth of a step; what it yields in one is no more than it has to."""
+    t = np.linspace(0.0, 15.0, 1501)
+    body = Body(K_0=1e4, units=((1e5, 10.0),))
+    force, _, _ = _reference(body, t)
+    found = respond(t, np.interp(t, KNOT_T, KNOT_D), body.chain()).force
+    smooth = (np.abs(t[1:] - 5.0) > 0.5) & (t[1:] > 0.5)
+    assert np.abs(found - force)[smooth].max() < 2e-3 * force.max()
+
+
 def test_the_base_is_the_exact_model_of_the_paper_through_push_hold_and_recovery() -> None:
     # Eqs. (8), (10) and (12), in the closed form of the three-element model.
     t = np.linspace(0.0, 100.0, 20001)
