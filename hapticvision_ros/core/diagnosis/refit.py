@@ -536,6 +536,8 @@ class Workbench:
             return total if math.isfinite(total) else math.inf
 
         left = np.array([leaves(state) for state in states])
+        # The last has onsets of its own, which leave much until they have been moved.
+        left[-1] = -math.inf
         chosen = np.sort(np.argsort(left, kind='stable')[:_CLOSE_BY])
         return [states[k] for k in chosen.tolist()]
 

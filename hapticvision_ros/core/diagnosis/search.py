@@ -58,6 +58,7 @@ from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import LAW, without_law
 from hapticvision_ros.core.fit.bend import Corner, Servo, told
 from hapticvision_ros.core.fit.campaign import (
+    carried,
     Fit,
     fit_prepared,
     line_spectrum,
@@ -340,9 +341,12 @@ def _open_ways(corners: Sequence[Corner], arm: Servo) -> FloatArray:
     """
     steps = _ARM_STEPS if arm.swing > 0.0 else _ARM_STEPS[:-1]
     count = steps.size
+    inward = np.array([0.0, *arm.inward(*(2.0 * _LITTLE * steps[1:3]).tolist()), 0.0])[:count]
 
     def at(*ways: FloatArray) -> float:
-        return told(corners, arm.changed(*(_LITTLE * steps * np.sum(ways, axis=0)).tolist()))
+        # Beside a limit nothing is looked at beyond it.
+        away = 2.0 * inward + np.sum(ways, axis=0)
+        return told(corners, arm.changed(*(_LITTLE * steps * away).tolist()))
 
     ways = np.eye(count)
     bent = np.empty((count, count))
@@ -350,13 +354,17 @@ def _open_ways(corners: Sequence[Corner], arm: Servo) -> FloatArray:
         ahead = at(ways[i], ways[j]) + at(-ways[i], -ways[j])
         bent[i, j] = bent[j, i] = ahead - at(ways[i], -ways[j]) - at(-ways[i], ways[j])
     curved, axes = np.linalg.eigh(bent / (2.0 * _LITTLE) ** 2)
-    return steps * (axes / np.sqrt(1.0 + np.maximum(curved, 0.0) / _TOLD)).T
+    open_ = (axes / np.sqrt(1.0 + np.maximum(curved, 0.0) / _TOLD)).T
+    # Each goes away from the limits, or to what is slower.
+    heads = open_ @ inward
+    heads[heads == 0.0] = open_[heads == 0.0, 0]
+    return np.asarray(steps * open_ * np.where(heads < 0.0, -1.0, 1.0)[:, np.newaxis])
 
 
 def _moved(bench: Workbench, found: Refit, trials: Sequence[FitTrial]) -> list[Columns]:
     """Return what another way of the tool changes in the prediction of a model."""
     other = Problem(found.model, trials, found.problem.scatter)
-    return change(bench, found, other, found.state)
+    return change(bench, found, other, carried(found.problem, found.state, other))
 
 
 def earlier(

@@ -166,7 +166,7 @@ def _fading(since, lag, swing, value, slope):  # type: ignore[no-untyped-def]
     decay = -0.5 / (swing * lag)
     spread = 4.0 * swing - 1.0
     if abs(spread) < _CRITICAL:
-        spread = _CRITICAL
+        spread = math.copysign(_CRITICAL, spread)
     if spread > 0.0:
         rate = -decay * math.sqrt(spread)
         turned = (slope - decay * value) / rate * math.sin(rate * since)
@@ -451,6 +451,13 @@ class Servo:
             lag=max(self.lag + lag * scale, 0.0),
             swing=self.swing * math.exp(swing),
         )
+
+    def inward(self, lag: float, jerk: float) -> tuple[float, float]:
+        """Return which way lag and jerk go from a limit that is nearer than a change: 1 or -1."""
+        scale = self.lasts
+        jerk *= scale if self.even else 1.0
+        soft = 1.0 if self.jerk < jerk else -1.0 if self.jerk > self._softest - jerk else 0.0
+        return 1.0 if self.lag < lag * scale else 0.0, soft
 
     @property
     def _softest(self) -> float:

@@ -149,8 +149,8 @@ _BRIEFEST: Final = 0.05
 _LAG_ZOOMS: Final = 3
 _COARSE_REST: Final = 5e-4
 """Half a step of the encoders over the depth, from which on it matters where a tool rests."""
-_SPEED_STEP: Final = 1e-5
-"""Time over which a speed is looked at [s]."""
+_HELD: Final = 0.1
+"""Speed of a tool that is held, over that of the push, at most."""
 _STILL: Final = 0.9
 """Part of the readings of a tool at rest that are one and the same."""
 _NO_WORSE: Final = 1.2
@@ -246,45 +246,54 @@ class ToolPath:
             result[first:last] += bend.beyond(t[first:last])
         return result
 
-    def resting(self, t: FloatArray) -> FloatArray:
+    def held(self, t: FloatArray, shift: float) -> FloatArray:
         """
-        Return how a tool that is held elsewhere than it is taken to be is beside its path.
+        Return the displacement of a tool that is held deeper than it is taken to be.
 
-        It stops and goes on the earlier or the later by that, and is where the encoders tell it
-        while it moves.
+        It stops the later by that, goes on the sooner, and is where the encoders tell it while it
+        moves.
 
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times [s].
+            Times [s], increasing.
+        shift : float
+            By how much deeper [m].
 
         Returns
         -------
         ndarray, shape (n,)
-            From nothing to all of it [-].
+            Displacements [m].
 
         """
-        beside = np.zeros(t.size)
+        result = self.at(t)
         if self.rest is None:
-            return beside
+            return result
         stop = int(np.argmin(np.abs(self.t - self.rest.t)))
         if not 0 < stop < self.t.size - 1:
-            return beside
+            return result
         slopes = np.diff(self.displacement) / np.diff(self.t)
-        middle = 0.5 * float(self.t[stop] + self.t[stop + 1])
-        for k in (stop, stop + 1):
-            moving = slopes[k - 1] if k == stop else (slopes[k] if k < slopes.size else 0.0)
-            if moving == 0.0:
-                # It is held until the end.
-                beside[t > middle] = 1.0
-                continue
-            edges = [self.t[k]]
-            edges += [e for b in self.bends if b.t == self.t[k] for e in (b.start, b.stop)]
-            low, high = (min(edges), middle) if k == stop else (middle, max(edges))
-            inside = (t >= low) & (t <= high)
-            speed = self.at(t[inside] + _SPEED_STEP) - self.at(t[inside] - _SPEED_STEP)
-            beside[inside] = 1.0 - speed / (2.0 * _SPEED_STEP * moving)
-        return beside
+        comes = float(slopes[stop - 1])
+        # What creeps is held; a tool that goes on does so at some speed.
+        moves = np.flatnonzero(np.abs(slopes[stop:]) > _HELD * abs(comes))
+        leave = stop + int(moves[0]) if moves.size else self.t.size
+        middle = 0.5 * float(self.t[stop] + self.t[min(leave, self.t.size - 1)])
+        edges = {bend.t: (bend.start, bend.stop) for bend in self.bends}
+
+        def within(knot: int) -> tuple[float, float]:
+            return edges.get(float(self.t[knot]), (float(self.t[knot]), float(self.t[knot])))
+
+        # Between two corners it is on a line, on which it may as well be earlier or later.
+        first = 0.5 * (within(stop - 1)[1] + within(stop)[0])
+        low, high = np.searchsorted(t, (first, middle))
+        result[low:high] = self.at(t[low:high] - shift / comes) + shift
+        if leave >= slopes.size + 1:
+            result[high:] += shift
+            return result
+        last = 0.5 * (within(leave)[1] + within(leave + 1)[0])
+        end = int(np.searchsorted(t, last))
+        result[high:end] = self.at(t[high:end] - shift / float(slopes[leave])) + shift
+        return result
 
     @property
     def events(self) -> list[float]:
@@ -460,23 +469,16 @@ class FitTrial:
         """Return how well the encoders tell where the tool is held [m]; zero if well enough."""
         return 0.0 if self.path.rest is None else self.path.rest.std
 
-    @cached_property
-    def _resting(self) -> tuple[FloatArray, FloatArray]:
-        split = self.turns
-        of_turns = np.empty(0) if split is None else self.path.resting(split.t)
-        return self.path.resting(self.t), of_turns
-
     def held(self, shift: float) -> 'FitTrial':
-        """Return the trial of a tool that is held deeper by `shift` [m]."""
+        """Return what to predict for a tool that is held deeper than it is taken to be [m]."""
         if shift == 0.0:
             return self
-        beside, of_turns = self._resting
         split = self.turns
         moved = copy(self)
-        moved.__dict__['displacement'] = self.displacement + shift * beside
+        moved.__dict__.pop('full_rate', None)
+        moved.__dict__['displacement'] = self.path.held(self.t, shift)
         if split is not None:
-            displacement = split.displacement + shift * of_turns
-            moved.__dict__['turns'] = replace(split, displacement=displacement)
+            moved.__dict__['turns'] = replace(split, displacement=self.path.held(split.t, shift))
         return moved
 
     @property
@@ -1165,14 +1167,15 @@ def _path(
     tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
     before = _coarse(t[:first], value[:first], tolerance)
     after = _coarse(t[last:], value[last:], tolerance)
+    interval = float(np.quantile(np.diff(t), _DENSE))
     path = ToolPath(
         np.concatenate((before[0], knots, after[0])),
         np.concatenate((before[1], levels, after[1])),
         noise,
         tuple(turn.bend for turn in turns if turn.bend.stop > turn.bend.start),
-        float(np.quantile(np.diff(t), _DENSE)),
+        interval,
         servo,
-        _rest(turns, phases, float(value.max())),
+        _rest(turns, phases, float(value.max()), interval),
     )
     # On its way there and back the tool may be commanded otherwise than on the object.
     end = phases.t_end if phases.t_loss is None else phases.t_loss
@@ -1183,7 +1186,9 @@ def _path(
     ]
 
 
-def _rest(turns: Sequence[_Turned], phases: Segmentation, depth: float) -> Rest | None:
+def _rest(
+    turns: Sequence[_Turned], phases: Segmentation, depth: float, interval: float
+) -> Rest | None:
     """Return how well it is known where the tool is held; None if that is no matter."""
     held = [turn for turn in turns if turn.corner.is_stop and turn.corner.rest == 1]
     if not held or phases.t_hold is None:
@@ -1191,7 +1196,8 @@ def _rest(turns: Sequence[_Turned], phases: Segmentation, depth: float) -> Rest 
     t_hold = phases.t_hold
     stop = min(held, key=lambda turn: abs(turn.bend.t - t_hold))
     coarse = stop.corner.coarse
-    if coarse < _COARSE_REST * depth or not stop.bend.t < (phases.t_release or math.inf):
+    far = abs(stop.bend.t - t_hold) > stop.bend.lasts + _CORNER_SAMPLES * interval
+    if coarse < _COARSE_REST * depth or far:
         return None
     return Rest(stop.bend.t, coarse / math.sqrt(3.0))
 

@@ -24,7 +24,8 @@ from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.search import _contenders, choose_again, diagnose
 from hapticvision_ros.core.diagnosis.selection import Round, Trialled
-from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.bend import told
+from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import Signal, Trial
@@ -407,3 +408,27 @@ def test_two_repeats_alone_do_not_tell_ageing_from_scatter(world: Any) -> None:
     found = diagnose(world.measure(campaign, Undeclared('ageing', (2.0,)), seed=4).pairs)
     assert found.effects == ()
     assert any('scatter' in each for each in found.warnings)
+
+
+def test_ways_that_the_encoders_leave_open_lead_away_from_the_limits(smoothed: Any) -> None:
+    """A servo without a lag has none that is less."""
+    made = smoothed(
+        Body(1000.0, 900.0, 1600.0),
+        (0.0028, 0.0013),
+        speed=0.0027,
+        smooth=0.064,
+        lag=0.001,
+        resolution=1e-5,
+        noise=0.01,
+    )
+    known, corners = arm_of(made)
+    assert known is not None
+    for arm in (known, replace(known, lag=0.0, jerk=0.0), replace(known, swing=0.6, lag=0.05)):
+        ways = search._open_ways(corners, arm)
+        assert ways.shape == ((4, 4) if arm.swing else (3, 3))
+        start = told(corners, arm)
+        for way in ways.tolist():
+            other = arm.changed(*(0.5 * np.array(way)).tolist())
+            assert other != arm
+            # A step is one that the encoders allow, if all of it can be gone.
+            assert told(corners, other) - start < 30.0

@@ -210,3 +210,10 @@ def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float
     servo, _ = arm_of(trials)
     assert servo is not None
     return servo
+
+
+def test_limits_of_an_arm_are_told() -> None:
+    arm = Servo(0.1, 0.5, 0.02, even=False, lasts=0.1)
+    assert arm.inward(0.1, 0.1) == (0.0, 0.0)
+    assert replace(arm, lag=0.0, jerk=0.0).inward(0.1, 0.1) == (1.0, 1.0)
+    assert replace(arm, jerk=1.0).inward(0.1, 0.1) == (0.0, -1.0)

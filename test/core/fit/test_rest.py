@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.fit.campaign import Fit, fit_prepared
-from hapticvision_ros.core.fit.data import FitTrial, prepare
+from hapticvision_ros.core.fit.data import FitTrial, prepare, Rest, ToolPath
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
 from hapticvision_ros.sim.specimen import Body
@@ -28,7 +28,7 @@ import pytest
 DEPTHS = (0.004, 0.00403, 0.004061, 0.00409)
 SPEEDS = (0.0011, 0.0016, 0.0025, 0.0045)
 SHIFT = 2.5e-6
-NEAR = 1e-6
+NEAR = 1e-7
 
 
 def _prepared(step: float) -> list[FitTrial]:
@@ -54,33 +54,70 @@ def _rests(fit: Fit) -> list[float]:
     return [float(value or 0.0) for value in values]
 
 
+def _misread(trial: FitTrial, shift: float) -> FitTrial:
+    """Return a trial whose tool is taken to rest deeper."""
+    path = trial.path
+    assert path.rest is not None
+    stop = int(np.argmin(np.abs(path.t - path.rest.t)))
+    slopes = np.diff(path.displacement) / np.diff(path.t)
+    t, displacement, bends = path.t.copy(), path.displacement.copy(), path.bends
+    displacement[[stop, stop + 1]] += shift
+    for knot, slope in ((stop, slopes[stop - 1]), (stop + 1, slopes[stop + 1])):
+        t[knot] += shift / slope
+        bends = tuple(replace(b, t=t[knot]) if b.t == path.t[knot] else b for b in bends)
+    rest = path.rest._replace(t=t[stop])
+    path = replace(path, t=t, displacement=displacement, bends=bends, rest=rest)
+    return replace(trial, path=path, displacement=path.at(trial.t))
+
+
 def test_a_tool_that_is_held_elsewhere_goes_on_as_the_encoders_tell(
     coarse: list[FitTrial],
 ) -> None:
     for trial in coarse:
         assert trial.rest_std == pytest.approx(1e-5 / np.sqrt(12.0), rel=0.01)
-        moved = trial.held(SHIFT)
-        beside = (moved.displacement - trial.displacement) / SHIFT
-        held = (trial.t > trial.t_stop + 0.5) & (trial.t < trial.t_release - 0.1)
-        assert held.any()
-        assert beside[held] == pytest.approx(1.0, abs=1e-3)
-        moves = (trial.t < trial.t_stop - 0.5) | (trial.t > trial.t_release + 0.7)
-        assert beside[moves] == pytest.approx(0.0, abs=1e-6)
-        assert moved.turns is not None and trial.turns is not None
-        assert np.ptp(moved.turns.displacement - trial.turns.displacement) == pytest.approx(
-            SHIFT, rel=1e-3
-        )
         assert trial.held(0.0) is trial
+        for shift in (SHIFT, -2.0 * trial.rest_std):
+            moved = trial.held(shift)
+            beside = (moved.displacement - trial.displacement) / shift
+            held = (trial.t > trial.t_stop + 0.5) & (trial.t < trial.t_release - 0.1)
+            assert held.any()
+            assert beside[held] == pytest.approx(1.0, abs=1e-3)
+            moves = (trial.t < trial.t_stop - 0.5) | (trial.t > trial.t_release + 0.7)
+            assert beside[moves] == pytest.approx(0.0, abs=1e-6)
+            assert moved.turns is not None and trial.turns is not None
+            change = moved.turns.displacement - trial.turns.displacement
+            assert np.ptp(change) == pytest.approx(abs(shift), rel=1e-3)
+            # It stops sooner or later, and does not come back from where it went too far.
+            pressed = (trial.t > trial.t_contact) & (trial.t < trial.t_release - 0.1)
+            assert np.diff(moved.displacement[pressed]).min() > -1e-8
+
+
+def test_a_tool_that_creeps_while_it_is_held_is_held_until_it_goes_on() -> None:
+    for creeps in (0.0, 1e-8, -1e-8):
+        path = ToolPath(
+            np.array([0.0, 1.0, 5.0, 9.0, 13.0, 16.0]),
+            np.array([-0.001, 0.0, 0.004, 0.004, 0.004 + 4.0 * creeps, -0.002]),
+            3e-6,
+            rest=Rest(5.0, 3e-6),
+        )
+        t = np.linspace(0.0, 16.0, 1601)
+        beside = (path.held(t, SHIFT) - path.at(t)) / SHIFT
+        assert beside[(t > 5.01) & (t < 12.99)] == pytest.approx(1.0, abs=0.02)
+        assert beside[(t < 4.99) | (t > 13.01)] == pytest.approx(0.0, abs=1e-6)
+    kept = replace(path, t=path.t[:-1], displacement=path.displacement[:-1])
+    beside = (kept.held(t, SHIFT) - kept.at(t)) / SHIFT
+    assert beside[t > 5.01] == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_force_tells_where_the_tool_is_held(coarse: list[FitTrial]) -> None:
     """As far as the encoders leave it open: a fit to other readings of the rest finds the same."""
     known = fit_prepared(coarse, Model())
-    other = [trial.held(-SHIFT) for trial in coarse[:2]] + coarse[2:]
+    other = [_misread(trial, -SHIFT) for trial in coarse[:2]] + coarse[2:]
     found = fit_prepared(other, Model())
     away = np.subtract(_rests(found), _rests(known))
-    assert away[:2] == pytest.approx(SHIFT, abs=0.3e-6)
-    assert away[2:] == pytest.approx(0.0, abs=0.3e-6)
+    # Within two of their standard errors, and one.
+    assert away[:2] == pytest.approx(SHIFT, abs=1.1e-6)
+    assert away[2:] == pytest.approx(0.0, abs=0.8e-6)
     for name in ('K1', 'C1', 'C2'):
         value, before = found.parameters[name].value, known.parameters[name].value
         assert value == pytest.approx(before, rel=2e-4)
@@ -102,11 +139,11 @@ def test_the_slope_of_what_a_rest_does_is_that_of_the_prediction(coarse: list[Fi
     for k, (slope, told) in enumerate(((force[row], early), (height[row], ...))):
         wide = (ends[0][k][-1] - ends[1][k][-1]) / (2.0 * NEAR)
         assert np.abs(slope[told]).max() > 0.5
-        assert slope[told] == pytest.approx(wide[told], abs=0.02 * np.abs(wide[told]).max())
+        assert slope[told] == pytest.approx(wide[told], abs=0.03 * np.abs(wide[told]).max())
 
 
 def test_encoders_that_tell_it_well_enough_leave_nothing_open() -> None:
-    for trial in _prepared(1e-6):
-        assert trial.rest_std == 0.0
-    fit = fit_prepared([replace(trial) for trial in _prepared(1e-6)], Model())
+    made = _prepared(1e-6)
+    assert all(trial.rest_std == 0.0 for trial in made)
+    fit = fit_prepared(made, Model())
     assert not any('rest' in trial.values for trial in fit.trials if trial is not None)
