@@ -38,6 +38,7 @@ from hapticvision_ros.core.models.chain import (
     _anchor,
     _end_weight,
     _flow_unit,
+    _lead,
     _memory_weight,
     _power,
     _retarded_unit,
@@ -113,6 +114,11 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         fluidity += 1.0 / c1
     for k in range(units):
         fluidity += 1.0 / cu[k]
+    row_k, row_c = np.empty(units + 1), np.empty(units + 1)
+    row_k[0], row_c[0] = k1, c1
+    row_k[1:], row_c[1:] = ku, cu
+    leads, leads_h = np.zeros(units + 2), np.zeros(units + 2)
+    nothing, nowhere = np.empty((0, units + 1)), np.empty((0, units + 2))
     z, y, x, z_max = state[_Z], state[_Y], state[_X], state[_Z_MAX]
     speed, chain_force = state[_SPEED], state[_CHAIN_FORCE]
     rate, rate_before = state[_RATE], state[_RATE_BEFORE]
@@ -153,7 +159,17 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             swing = _end_weight(mass * (c0 + stiff / k1 + hs * fluidity) / (hs * hs))[0]
         inert = swing * mass / (hs * hs)
         ahead = x + hs * speed
-        rest = z + y + (1.0 - end) * c0 * chain_force
+        pull = (d_end - d_start) / h
+        lead = 0.0
+        if touching and c0 > 0.0:
+            _lead(
+                hs, row_k, row_c, fluidity, nothing, nothing, leads_h[:0], leads, leads_h, nowhere
+            )
+            climb = leads[0] * pull + leads[1] * z
+            for k in range(units):
+                climb += leads[2 + k] * zu[k]
+            lead = (1.0 - 0.5 * end) * hs * climb
+        rest = z + y + c0 * ((1.0 - end) * chain_force + lead)
         ce = end * c0
         for k in range(units):
             left = -np.expm1(-ku[k] / cu[k] * hs)
@@ -198,7 +214,6 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         flow += fluid * slope * change
         x_end += x_slope * change
         total += total_slope * change
-        pull = (d_end - d_start) / h
         thrust = mass * (pull - speed) / (h if stage == _FIRST else hs)
         probing = stage == _FIRST
         if touching and stage == _LOOK:
@@ -252,7 +267,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         rate = u / hs
         state[_STEADY] = 1.0 if stage == _LOOK and contact == touching else 0.0
         if bound:
-            chain_force += end * (fc - chain_force)
+            chain_force += end * (fc - chain_force) + lead
         else:
             chain_force = fc
         if touching:
