@@ -241,7 +241,7 @@ def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     """Commands that are smoothed over 128 ms, a lag of 28 ms, encoders that round."""
     made = smoothed(
         Body(1000.0, 900.0, 1600.0),
-        (0.0028, 0.0013, 0.0028, 0.0013, 0.002),
+        (0.0028, 0.0013, 0.002),
         speed=0.0027,
         smooth=0.064,
         lag=0.028,
