@@ -39,7 +39,7 @@ import pytest
 CAMPAIGN = Campaign(
     Body(1500.0, 1200.0, 3000.0),
     (Push(0.008, 0.006, 3.0, 2.0), Push(0.004, 0.004, 3.0, 2.0)),
-    Sensors(ForceNoise(0.05), 3e-5, force_rate=250.0, tool_rate=250.0, height_rate=20.0),
+    Sensors(ForceNoise(0.05), 3e-5, force_rate=100.0, tool_rate=100.0, height_rate=20.0),
 )
 """Pushes that touch at some 2 s, stop at some 2.8 s and are released at 5.8 s."""
 
@@ -138,8 +138,8 @@ ODD = {
     'lacks the touch': all_of(gap(1.9, 2.3)),
     'lacks the stop': all_of(gap(2.5, 3.2)),
     'lacks the tool at the touch': each(tool=gap(1.9, 2.3)),
-    'ten forces a second': each(lambda signal: Signal(signal.t[::25], signal.value[::25])),
-    'ten heights a second': each(None, lambda signal: Signal(signal.t[::25], signal.value[::25])),
+    'ten forces a second': each(lambda signal: Signal(signal.t[::10], signal.value[::10])),
+    'ten heights a second': each(None, lambda signal: Signal(signal.t[::10], signal.value[::10])),
     'one sample in minutes': all_of(slower(1000.0)),
     'force upside down': each(scaled(-1.0)),
     'no force': each(scaled(0.0)),

@@ -59,6 +59,13 @@ _BRIEFEST: Final = 1e-4
 """Acceleration that comes and goes at once, as how it does so cannot be told apart [s]."""
 SWINGS: Final = (0.5, 1.2)
 """Those that are tried, of damping ratios of 0.7 and 0.46 [-]."""
+_SEARCHED: Final = np.array([0.3, 0.3, 0.4, 0.3])
+"""First steps of a search: of duration, lag, jerk, and swing."""
+_MORE_SEARCHES: Final = 4
+_APART: Final = 40.0
+"""Deviance that a shape of its own takes out of a change of speed that is not made as others."""
+_LARGE: Final = 0.5
+"""Part of the largest change of speed from which on others tell as well how an arm swings."""
 _LEAST: Final = 0.01
 """Part of its usual duration that an acceleration lasts at least where a search begins."""
 _WILDEST: Final = 12.0
@@ -480,6 +487,24 @@ def told(corners: Sequence[Corner], servo: Servo) -> float:
     return total
 
 
+def is_apart(corner: Corner, alone: float, servo: Servo) -> bool:
+    """
+    Return whether a change of speed is not made as an arm makes the others.
+
+    Parameters
+    ----------
+    corner : Corner
+        What the encoders tell of it.
+    alone : float
+        The deviance that its own shape leaves of it.
+    servo : Servo
+        How the arm makes the others.
+
+    """
+    mine = servo.of(corner)
+    return mine is not None and corner.deviance(mine.shape(corner.turn)) > alone + _APART
+
+
 def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
     """
     Return the servo of a search.
@@ -499,13 +524,21 @@ def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
 
 
 def _left(
-    corners: Sequence[Corner], kind: tuple[bool, float, float], longest: float, x: FloatArray
+    corners: Sequence[tuple[Corner, float]],
+    kind: tuple[bool, float, float],
+    longest: float,
+    x: FloatArray,
 ) -> float:
-    """Return minus twice the log likelihood of a servo."""
+    """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
     servo = _servo(x, *kind)
-    if np.any(x[1:] < 0.0) or max(sum(servo.shape(c.turn)[:3]) for c in corners) > longest:
+    shapes = [servo.shape(corner.turn) for corner, _ in corners]
+    if np.any(x[1:] < 0.0) or max(sum(shape[:3]) for shape in shapes) > longest:
         return math.inf
-    return told(corners, servo)
+    # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
+    return sum(
+        min(corner.deviance(shape), alone + _APART)
+        for (corner, alone), shape in zip(corners, shapes, strict=True)
+    )
 
 
 def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None:
@@ -597,33 +630,50 @@ def _alike(
     if len(corners) < _FEWEST:
         return sum(c.deviance(s) for c, s in zip(corners, shapes, strict=True)), None
     corners, shapes = _largest(corners, shapes)
-    alone = sum(c.deviance(s) + 2.0 * worth for c, s in zip(corners, shapes, strict=True))
+    each = [(c, c.deviance(s)) for c, s in zip(corners, shapes, strict=True)]
+    alone = sum(own + 2.0 * worth for _, own in each)
     lasts = np.array([shape.duration for shape in shapes])
     turns = np.abs([corner.turn for corner in corners])
     longest = _LONGEST * float((lasts + np.array([shape.lag for shape in shapes])).max())
     lag = float(np.median([shape.lag for shape in shapes]))
-    found: list[tuple[float, Servo]] = []
+    found: list[tuple[float, float, FloatArray, tuple[bool, float, float]]] = []
     for even in (False, True):
         usual = float(np.median(lasts / turns if even else lasts))
         scale = usual * float(np.median(turns)) if even else usual
         if usual <= 0.0:
             continue
-        cost = partial(_left, corners, (even, usual, scale), longest)
+        kind = even, usual, scale
+        cost = partial(_left, each, kind, longest)
         starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
-        for start in [*starts, *_swinging(shapes, turns if even else np.ones(turns.size), usual)]:
-            left, best = minimum(cost, start, np.array([0.3, 0.3, 0.4, 0.3])[: start.size])
-            found.append((left + start.size * worth, _servo(best, even, usual, scale)))
-    least = min(found, key=lambda each: each[0], default=None)
-    return (alone, None) if least is None or least[0] > alone else least
+        for start in [*starts, *_swinging(shapes, turns, usual, even=even)]:
+            left, best = minimum(cost, start, _SEARCHED[: start.size])
+            found.append((left + start.size * worth, left, best, kind))
+    if not found:
+        return alone, None
+    worst, left, best, kind = min(found, key=lambda one: one[0])
+    cost = partial(_left, each, kind, longest)
+    for _ in range(_MORE_SEARCHES):
+        # Clear changes of speed tell much more than the first search asks for.
+        closer, point = minimum(cost, best, _SEARCHED[: best.size])
+        if left - closer < 1.0:
+            break
+        worst, left, best = worst - left + closer, closer, point
+    return (alone, None) if worst > alone else (worst, _servo(best, *kind))
 
 
-def _swinging(shapes: Sequence[Shape], sizes: FloatArray, usual: float) -> list[FloatArray]:
+def _swinging(
+    shapes: Sequence[Shape], turns: FloatArray, usual: float, *, even: bool
+) -> list[FloatArray]:
     """Return where to begin to look for a servo that swings, as `_servo` takes it."""
-    seen = [(s, size) for s, size in zip(shapes, sizes.tolist(), strict=True) if s.swing > 0.0]
+    sizes = turns if even else np.ones(turns.size)
     scale = usual * float(np.median(sizes))
+    seen = [k for k, shape in enumerate(shapes) if shape.swing > 0.0]
     if seen:
-        lasts = float(np.median([shape.duration / size for shape, size in seen]))
-        lag, swing = (float(np.median([shape[k] for shape, _ in seen])) for k in (2, 3))
+        # The largest changes of speed tell most.
+        most = _LARGE * max(turns[k] for k in seen)
+        seen = [k for k in seen if turns[k] >= most]
+        lasts = float(np.median([shapes[k].duration / sizes[k] for k in seen]))
+        lag, swing = (float(np.median([shapes[k][of] for k in seen])) for of in (2, 3))
         return [np.array([math.log(max(lasts / usual, _LEAST)), lag / scale, 0.5, swing])]
     # Half of how long it takes otherwise is made by how it swings.
     lag = 0.25 * float(np.median([shape.takes for shape in shapes]))

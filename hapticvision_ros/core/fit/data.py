@@ -34,6 +34,7 @@ from typing import Final, NamedTuple
 from hapticvision_ros.core.fit.bend import (
     Bend,
     Corner,
+    is_apart,
     ROUNDED,
     Servo,
     servo_of,
@@ -133,6 +134,10 @@ _MOVING: Final = 6.0
 _ZOOMS: Final = 5
 _ROUGH_ZOOMS: Final = 3
 """Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
+_BRIEF_SWING: Final = 0.02
+"""Part of the longest change of speed that one that swings lasts at least, at first."""
+_SWING_SEARCHES: Final = 4
+"""Times that the search for a change of speed that swings is begun anew at most."""
 _FEW_SEEN: Final = 8.0
 """Samples of the encoders in a change of speed from which on they show how it goes."""
 _FORM: Final = 1e-4
@@ -699,7 +704,9 @@ def _prepare(
     if phases.push_is_cut or (touch <= force.t[begun] and _is_pressed(height)):
         return 'the record begins in contact, after a part of the push or all of it'
     displacement = Signal(tool.t, original - tool.value)
-    if displacement.value.max() <= 0.0:
+    unsure = phases.contact_height_std
+    beyond = displacement.value[tool.t > touch].max()
+    if beyond <= max(float(displacement.value[tool.t <= touch].max(initial=0.0)), 0.0) + unsure:
         return 'the tool does not go on after the touch'
     path = tool_path(displacement, phases, servo)
     deepest = int(np.argmax(path.displacement))
@@ -771,7 +778,7 @@ def arm_of(
     servo : Servo or None
         How it makes all changes of speed, if the trials tell that it does so alike.
     corners : tuple of Corner
-        What the encoders tell of each.
+        What the encoders tell of each that is made so, of all if there is none.
 
     """
     turns: list[_Turned] = []
@@ -782,8 +789,14 @@ def arm_of(
         reached = displacement.t > float(phases.t_contact or 0.0)
         if np.count_nonzero(reached) >= _FEWEST and displacement.value[reached].max() > 0.0:
             turns += _path(displacement, phases, None)[1]
-    corners = tuple(turn.corner for turn in turns)
-    return servo_of(corners, [turn.shape for turn in turns]), corners
+    servo = servo_of([turn.corner for turn in turns], [turn.shape for turn in turns])
+    if servo is not None:
+        turns = [
+            turn
+            for turn in turns
+            if not is_apart(turn.corner, turn.corner.deviance(turn.shape), servo)
+        ]
+    return servo, tuple(turn.corner for turn in turns)
 
 
 def along(
@@ -1352,13 +1365,16 @@ def _bend(
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
     enough = _FOLLOWS**2 * corner.t.size * noise**2
-    if servo is not None:
-        servo = servo.of(corner)
-        if servo is None:
-            return None
     if servo is None:
         shape, shift = _shape_of(corner, 4.0 * margin, enough)
     else:
+        known = servo.of(corner)
+        if known is None:
+            return None
+        own, _ = _shape_of(corner, 4.0 * margin, enough)
+        if is_apart(corner, corner.deviance(own), servo):
+            return None
+        servo = known
         shape = servo.shape(corner.turn)
         shift = corner.rested(shape)
     meeting, level = corner.meeting(shift)
@@ -1424,9 +1440,15 @@ def _known_shape(
         swinging = []
         for swing in SWINGS:
             # Half of how long it takes otherwise is made by how it swings.
-            near = Shape(0.5 * shape.duration, shape.jerk, 0.25 * shape.takes, swing)
+            lag = 0.25 * max(shape.takes, _BRIEF_SWING * longest)
+            near = Shape(0.5 * shape.duration, shape.jerk, lag, swing)
             swinging.append(_between(corner, near, shift, longest))
-        _, other = min(swinging)
+        closest, other = min(swinging)
+        for _ in range(_SWING_SEARCHES):
+            # Duration and swing make up for each other: a search may stop on its way.
+            if closest <= enough:
+                break
+            closest, other = min((closest, other), _between(corner, other, shift, longest))
         if other.takes > _FEW_SEEN * float(np.median(np.diff(corner.t))):
             shape = other
     return shape, shift

@@ -201,6 +201,31 @@ def test_an_arm_that_goes_beyond_where_it_stops_is_followed() -> None:
     _follows(_campaign([shape] * 4, 2e-5), shape, 0.1)
 
 
+def test_clear_swings_are_followed_and_what_is_not_made_so_does_not_hide_them() -> None:
+    """Quick pushes through fine encoders: a servo of 6.5 Hz with a damping ratio of a third."""
+    shape, held = Shape(0.045, 0.0, 0.017, 2.0), Shape(0.3, 0.1)
+    trials = _campaign([shape, shape, shape, held], 1e-6, [shape] * 4)
+    servo, _ = arm_of(trials)
+    assert servo is not None
+    assert servo.swing == pytest.approx(shape.swing, rel=0.02)
+    assert servo.lag == pytest.approx(shape.lag, rel=0.01)
+    # Of how the acceleration comes hardly more than its second moment is told.
+    made_so = servo.shape(0.02)
+    lasts = np.hypot(made_so.duration, made_so.jerk)
+    assert lasts == pytest.approx(np.hypot(shape.duration, shape.jerk), rel=0.05)
+    # The last stop is not made so, and its path is none of that servo.
+    made, _ = prepare(trials)
+    off = [
+        _off(trial.path, phases, speed, each)
+        for trial, (_, phases), speed, each in zip(
+            made, trials, SPEEDS, [shape, shape, shape, held], strict=True
+        )
+        if trial is not None
+    ]
+    assert len(off) == len(trials)
+    assert max(off) < 0.02
+
+
 def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float) -> Servo:
     """Return the servo of a campaign whose paths go as a shape says, but for `most`."""
     made, _ = prepare(trials)
