@@ -46,6 +46,7 @@ from hapticvision_ros.core.fit.campaign import (
     replace_onsets,
     scale_of,
     SHARPEST,
+    slow_body,
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
@@ -317,7 +318,9 @@ class Workbench:
                 left.append((_promise(residual, jacobian), state))
         left.sort(key=lambda each: each[0])
         promise = near.cost - left[0][0] if left else -math.inf
-        return Look(problem, tuple(state for _, state in left[:_BEST]), promise)
+        # What another body promises is less exact: it is further away.
+        chosen = [*left[:_BEST], *_best_of_others(left, left[:_BEST])]
+        return Look(problem, tuple(state for _, state in chosen), promise)
 
     def residual(
         self, problem: Problem, state: FloatArray, index: int
@@ -492,15 +495,18 @@ class Workbench:
         scans = list(product(*(model.parameters[k].scan for k in new)))
         factors = _FACTORS if signless and len(scans) < _CLOSE_BY else _FACTORS[:1]
         # What the smaller model has done without, no search finds the way back to.
-        C1, C2 = (model.names.index(name) for name in ('C1', 'C2'))
-        viscosities = model.values(begin[: problem.p])[[C1, C2]]
-        parts = [viscosities[0]]
-        if viscosities[0] < _NEGLIGIBLE * viscosities[1]:
-            parts.append(_MODERATE * viscosities[1])
+        base = [model.names.index(parameter.symbol) for parameter in BASE_PARAMETERS]
+        body = dict(zip(('K1', 'C1', 'C2'), model.values(begin[: problem.p])[base], strict=True))
+        bodies = [body]
+        if body['C1'] < _NEGLIGIBLE * body['C2']:
+            bodies.append({**body, 'C1': _MODERATE * body['C2']})
+        slow = slow_body(self.trials, body)
+        if slow is not None:
+            bodies.append(slow)
         states = []
-        for factor, scan, part in product(factors, scans, parts):
+        for factor, scan, each in product(factors, scans, bodies):
             values = model.values(begin[: problem.p])
-            values[C1] = part
+            values[base] = list(each.values())
             # A power of one, as of a dashpot, is what it differs from.
             strength = np.where(stiff, 1.0 / factor, factor)
             values[new] = absent + (guess[new] - absent) * strength * scan
@@ -538,8 +544,11 @@ class Workbench:
         left = np.array([leaves(state) for state in states])
         # The last has onsets of its own, which leave much until they have been moved.
         left[-1] = -math.inf
-        chosen = np.sort(np.argsort(left, kind='stable')[:_CLOSE_BY])
-        return [states[k] for k in chosen.tolist()]
+        ranked = [(float(left[k]), states[k]) for k in np.argsort(left, kind='stable').tolist()]
+        chosen = [*ranked[:_CLOSE_BY], *_best_of_others(ranked, ranked[:_CLOSE_BY])]
+        # In their order, of which the last is told by its place.
+        taken = {id(state) for _, state in chosen}
+        return [state for state in states if id(state) in taken]
 
     def scale(self, near: Refit) -> Scale:
         """Return what the campaign looks like beside a refit."""
@@ -637,3 +646,21 @@ def _promise(residual: FloatArray, jacobian: FloatArray) -> float:
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     explained = left[:, singular > 1e-10 * singular[0]].T @ residual
     return float(residual @ residual - explained @ explained)
+
+
+def _best_of_others(
+    ranked: Sequence[tuple[float, FloatArray]], chosen: Sequence[tuple[float, FloatArray]]
+) -> list[tuple[float, FloatArray]]:
+    """Return the first of each body, best first, of which none is chosen yet."""
+    known = {_body(state) for _, state in chosen}
+    others = []
+    for each in ranked:
+        if _body(each[1]) not in known:
+            known.add(_body(each[1]))
+            others.append(each)
+    return others
+
+
+def _body(state: FloatArray) -> tuple[float, ...]:
+    """Return the base parameters of a state, which come first in every model."""
+    return tuple(state[: len(BASE_PARAMETERS)].tolist())

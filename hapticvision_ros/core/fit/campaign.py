@@ -1449,13 +1449,9 @@ def _search(
     given = {} if start is None else dict(start)
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     starts = [values]
-    relaxation = (body.C1 + body.C2) / body.K1
-    contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
-    if relaxation < max(_QUICK * trials[0].interval, _BRIEF * contact):
-        # The force shows a dashpot alone, which the two may be together: the height tells. A
-        # relaxation so brief may also be how the force jumps where the path is not well known.
-        both = 2.0 * body.C2
-        starts.append({'K1': both / contact, 'C1': both, 'C2': both})
+    slow = slow_body(trials, values)
+    if slow is not None:
+        starts.append(slow)
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})
     ends = []
@@ -1515,6 +1511,34 @@ def _search(
     moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
     state = min((best, moved), key=lambda found: found.cost).theta
     return whole, [in_order(whole, state, {'K1': K1, 'C1': C1, 'C2': C2})]
+
+
+def slow_body(trials: Sequence[FitTrial], body: Mapping[str, float]) -> dict[str, float] | None:
+    """
+    Return the slow body that an object may be whose force shows a dashpot alone.
+
+    The two dashpots may be that one together, which the height tells. A relaxation so brief may
+    also be how the force jumps where the path is not well known, or a spring in series.
+
+    Parameters
+    ----------
+    trials : sequence of FitTrial
+        The trials.
+    body : mapping of str to float
+        K1 [N/m], C1 and C2 [N.s/m] as they were found.
+
+    Returns
+    -------
+    dict of str to float or None
+        K1, C1 and C2 of the slow body; None where the relaxation is none of a dashpot alone.
+
+    """
+    relaxation = (body['C1'] + body['C2']) / body['K1']
+    contact = max(float(trial.t[-1] - trial.t_contact) for trial in trials)
+    if relaxation >= max(_QUICK * trials[0].interval, _BRIEF * contact):
+        return None
+    both = 2.0 * body['C2']
+    return {'K1': both / contact, 'C1': both, 'C2': both}
 
 
 def find_onsets(problem: Problem, state: FloatArray) -> None:

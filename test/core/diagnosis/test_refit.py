@@ -433,3 +433,19 @@ def test_a_lag_is_found_where_the_base_model_has_done_without_its_viscosity(worl
     assert refit is not None
     expected = (body.K1, body.C1, body.C2, late.values[0])
     assert pytest.approx(expected, rel=0.03) == refit.model.values(refit.theta)
+
+
+def test_a_slow_body_is_found_behind_a_machine_that_gives_way(world: Any) -> None:
+    """Its spring is nothing beside the noise, and the base model makes one of the machine."""
+    body = Body(21.0, 718.0, 560.0)
+    pushes = ((0.008, 0.0036), (0.005, 0.004), (0.019, 0.0049))
+    campaign = replace(world.campaign(pushes, hold=30.0, recover=40.0), body=body)
+    noise = ForceNoise(0.015 * peak_force(campaign))
+    campaign = replace(campaign, sensors=replace(campaign.sensors, force_noise=noise))
+    machine = Undeclared('machine_compliance', (9500.0,))
+    bench, base = world.measure(campaign, machine, seed=32).bench()
+    assert base.model.values(base.theta)[0] > 100.0 * body.K1
+    refit = bench.refit(Model(('machine_compliance',)), base)
+    assert refit is not None
+    expected = (body.K1, body.C1, body.C2, machine.values[0])
+    assert pytest.approx(expected, rel=0.05) == refit.model.values(refit.theta)
