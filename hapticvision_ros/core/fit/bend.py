@@ -645,8 +645,14 @@ def _alike(
         kind = even, usual, scale
         cost = partial(_left, each, kind, longest)
         starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
-        for start in [*starts, *_swinging(shapes, turns, usual, even=even)]:
-            left, best = minimum(cost, start, _SEARCHED[: start.size])
+        swinging = _swinging(shapes, turns, usual, even=even)
+        begun = [(cost, start) for start in swinging]
+        # Beside a start that is far off all are apart, and no way leads to where they are alike.
+        at_all = partial(_left, [(corner, math.inf) for corner in corners], kind, longest)
+        begun += [(at_all, start) for start in [*starts, *swinging]]
+        for sought, start in begun:
+            _, best = minimum(sought, start, _SEARCHED[: start.size])
+            left = cost(best)
             found.append((left + start.size * worth, left, best, kind))
     if not found:
         return alone, None
