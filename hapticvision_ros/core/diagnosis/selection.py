@@ -121,6 +121,8 @@ class Trialled:
     sure : float
         What it lowers the squares by where the arm's motion is seen, if the moments of jumps are
         known as well without it; infinite where it lasts for longer than a sample.
+    calm : float
+        The strength where no jump is whose moment is not known, if the effect gains anything.
 
     """
 
@@ -134,6 +136,7 @@ class Trialled:
     in_height: float = 0.0
     height_score: float = 0.0
     sure: float = math.inf
+    calm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -447,7 +450,8 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
     if in_height > WEAKEST or _is_quick(effect):
         told = _told_by_heights(bench, without) - _told_by_heights(bench, refit)
     size = strength(bench, refit, without)
-    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told, sure)
+    calm = strength(bench, refit, without, calm=True) if gain > GATE else 0.0
+    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told, sure, calm)
 
 
 def _told_by_heights(bench: Workbench, refit: Refit) -> float:
@@ -729,8 +733,12 @@ def _good(
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
             seen = each.strength > weakest
-            # What acts for a short while, such as adhesion, is weak over whole trials.
-            seen |= strongest[0] == 0.0 and each.gain > CERTAIN
+            if strongest[0] > 0.0:
+                # What is off in the form of an effect is made up for where jumps are misplaced.
+                seen &= each.calm > weakest or each.gain > CERTAIN
+            else:
+                # What acts for a short while, such as adhesion, is weak over whole trials.
+                seen |= each.gain > CERTAIN
             return (seen and _seen(each) > GATE) or heights_tell(each)
         # How a jump is drawn out does not matter to the heights.
         drawn = _draws_out(bench, each, weakest, min(_seen(each), each.sure))

@@ -146,6 +146,18 @@ def test_a_clear_gain_is_an_effect_though_it_acts_in_few_samples(world: Any) -> 
     assert _good(bench, [replace(shown, height_score=35.0)], (1.0, 0.1)) == []
 
 
+def test_what_only_misplaced_jumps_show_beside_an_effect_must_be_certain(world: Any) -> None:
+    """The form of what was accepted is not exact: a touch a little off makes up for it."""
+    bench, base = world.measure(world.campaign(), seed=39).bench()
+    refit = bench.refit(Model(('contact_offset:loose_top',)), base)
+    assert refit is not None
+    moved = Trialled('contact_offset:loose_top', 35.0, 25.0, 0.3, refit, calm=0.01)
+    assert _good(bench, [moved], (0.0, 0.0)) == [moved]
+    assert _good(bench, [moved], (0.5, 0.0)) == []
+    for told in (replace(moved, calm=0.1), replace(moved, gain=45.0)):
+        assert _good(bench, [told], (0.5, 0.0)) == [told]
+
+
 def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> None:
     """A start at two thirds of the pull-off force, as if moments were known to two samples."""
     bench, base = world.measure(
