@@ -1345,7 +1345,11 @@ def _bend(
     lines = []
     variance = 0.0
     rest = -1
-    for k, (first, last) in enumerate(((left, start - margin), (stop + margin, right))):
+    before = start - margin
+    if np.count_nonzero((t >= left) & (t <= before)) < edge:
+        # An arm is straight until it begins to change its speed: of a quick push that is little.
+        before = start - edge * step
+    for k, (first, last) in enumerate(((left, before), (stop + margin, right))):
         inside = (t >= first) & (t <= last)
         if np.count_nonzero(inside) < edge:
             return None

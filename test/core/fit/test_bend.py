@@ -226,6 +226,20 @@ def test_clear_swings_are_followed_and_what_is_not_made_so_does_not_hide_them() 
     assert max(off) < 0.02
 
 
+def test_a_stop_is_followed_after_a_push_that_is_shorter_than_the_swing() -> None:
+    """The line before it is short, and the tool goes on to swing for longer."""
+    shape = Shape(0.045, 0.0, 0.017, 2.0)
+    (trial, phases), *_ = _campaign([shape] * 4, 1e-6)[-1:]
+    whole = _displacement(trial, phases)
+    stop = phases.t_contact + 0.003 / SPEEDS[-1]
+    late = whole.between(stop - 0.25, phases.t_release - 0.5)
+    stops = [turn for turn in _path(late, phases, None)[1] if turn.corner.is_stop]
+    assert len(stops) == 1
+    delay = 0.5 * shape.duration + shape.lag
+    assert stops[0].bend.t == pytest.approx(stop + delay, abs=2e-3)
+    assert stops[0].shape.swing == pytest.approx(shape.swing, rel=0.1)
+
+
 def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float) -> Servo:
     """Return the servo of a campaign whose paths go as a shape says, but for `most`."""
     made, _ = prepare(trials)
