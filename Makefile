@@ -33,7 +33,8 @@ demo: setup ## Run an experiment on the simulated cell, fit it and real data, wr
 	@$(BIN)/hapticvision demo --out out/demo $(if $(SILICONE),--silicone "$(SILICONE)")
 
 test: setup ## Run all tests, the linters among them, on two processors.
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
+	@# Live tests mostly wait: three workers keep two processors busy.
+	@$(BIN)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder
 
 setup: ## Make .venv from requirements.lock, unless it is there.
 	@tools/setup.sh
