@@ -116,6 +116,12 @@ def spiky(size: float) -> Change:
     return spoilt
 
 
+def too_low(signal: Signal) -> Signal:
+    value = signal.value.copy()
+    value[100] -= 0.02
+    return Signal(signal.t, value)
+
+
 def wandering(signal: Signal) -> Signal:
     steps = np.random.default_rng(2).standard_normal(signal.t.size)
     return Signal(signal.t, 0.05 * np.cumsum(steps))
@@ -160,6 +166,7 @@ ODD = {
     'spikes': each(spiky(1e3)),
     'spikes of the encoder': each(None, spiky(0.5)),
     'spikes of the encoder down': each(None, spiky(-0.04)),
+    'one reading of the encoder too low': each(None, too_low),
     'walks at random': each(wandering),
     'two pushes': all_of(twice),
 }
@@ -169,6 +176,7 @@ HARMLESS = (
     'spikes',
     'spikes of the encoder',
     'spikes of the encoder down',
+    'one reading of the encoder too low',
 )
 """What is left of these, or all of it, is an object that the base model explains."""
 
@@ -197,6 +205,7 @@ def test_odd_records_give_a_result_or_a_reason(made, tmp_path, capsys, odd):
     assert (out / 'report.html').stat().st_size > 0
     if odd in HARMLESS:
         assert result['diagnosis']['status'] == 'none'
+        assert 'no model is fitted' not in json.dumps(result['warnings'])
 
 
 def test_a_few_heights_are_not_explained_by_an_effect():

@@ -385,6 +385,8 @@ class Workbench:
         begin = carried(near.problem, near.state, problem)
         added = [name for name in model.effects if name not in near.model.effects]
         states = self._starts(problem, begin, near, added)[:-1]
+        # Another body is a change as well, and none of what is added.
+        states = [state for state in states if _body(state) == _body(states[0])]
         # What has no first guess is seen by a small step.
         for k in places_of(model, added):
             if states[0][k] == begin[k]:
@@ -546,7 +548,6 @@ class Workbench:
         left[-1] = -math.inf
         ranked = [(float(left[k]), states[k]) for k in np.argsort(left, kind='stable').tolist()]
         chosen = [*ranked[:_CLOSE_BY], *_best_of_others(ranked, ranked[:_CLOSE_BY])]
-        # In their order, of which the last is told by its place.
         taken = {id(state) for _, state in chosen}
         return [state for state in states if id(state) in taken]
 

@@ -556,9 +556,9 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
     -------
     Servo or None
         None where the changes of speed differ by more than the encoders' noise, by Schwarz's
-        criterion, or there are too few. Stops and the other changes may differ, and be alike
-        among themselves, or the stops alone; where they differ only in how long they last, one
-        controller makes both.
+        criterion, or there are too few; some may be apart from the others (`is_apart`). Stops
+        and the other changes may differ, and be alike among themselves, or the stops alone; where
+        they differ only in how long they last, one controller makes both.
 
     """
     worth = math.log(max(sum(corner.t.size for corner in corners), 1))

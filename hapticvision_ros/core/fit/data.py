@@ -136,6 +136,8 @@ _ROUGH_ZOOMS: Final = 3
 """Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
 _BRIEF_SWING: Final = 0.02
 """Part of the longest change of speed that one that swings lasts at least, at first."""
+_TOUCHING: Final = 16
+"""Samples of the encoders before the touch beyond which a tool goes that pushes."""
 _SWING_SEARCHES: Final = 4
 """Times that the search for a change of speed that swings is begun anew at most."""
 _FEW_SEEN: Final = 8.0
@@ -704,9 +706,7 @@ def _prepare(
     if phases.push_is_cut or (touch <= force.t[begun] and _is_pressed(height)):
         return 'the record begins in contact, after a part of the push or all of it'
     displacement = Signal(tool.t, original - tool.value)
-    unsure = phases.contact_height_std
-    beyond = displacement.value[tool.t > touch].max()
-    if beyond <= max(float(displacement.value[tool.t <= touch].max(initial=0.0)), 0.0) + unsure:
+    if not _goes_on(displacement, touch, phases.contact_height_std):
         return 'the tool does not go on after the touch'
     path = tool_path(displacement, phases, servo)
     deepest = int(np.argmax(path.displacement))
@@ -1121,6 +1121,17 @@ class _Turned(NamedTuple):
     shape: Shape
 
 
+def _goes_on(displacement: Signal, touch: float, unsure: float) -> bool:
+    """Return whether the tool goes on after the touch by more than is unsure of it there."""
+    # A reading of the encoders that is far off is no way.
+    good = ~suspects(displacement.value)
+    t, value = displacement.t[good], displacement.value[good]
+    after = t > touch
+    beyond = float(value[after].max(initial=0.0))
+    before = float(value[~after][-_TOUCHING:].max(initial=0.0))
+    return beyond > before + min(unsure, 0.5 * beyond)
+
+
 def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = None) -> ToolPath:
     """
     Return the tool's path as straight pieces that follow the encoders within their noise.
@@ -1346,7 +1357,8 @@ def _bend(
     variance = 0.0
     rest = -1
     before = start - margin
-    if np.count_nonzero((t >= left) & (t <= before)) < edge:
+    is_short = np.count_nonzero((t >= left) & (t <= before)) < edge
+    if is_short:
         # An arm is straight until it begins to change its speed: of a quick push that is little.
         before = start - edge * step
     for k, (first, last) in enumerate(((left, before), (stop + margin, right))):
@@ -1362,6 +1374,11 @@ def _bend(
         # Of a line at its end, or of a rest at any place within a step of the encoders.
         count = np.count_nonzero(inside)
         variance += coarse**2 / 12.0 if rest == k else 4.0 * noise**2 / count
+        if k == 0 and is_short and rest != k:
+            # The lines meet beyond where the short one ends.
+            away = t[inside] - float(t[inside].mean())
+            ahead = start - float(t[inside].mean()) + 0.5 * (stop - start)
+            variance += noise**2 * ahead**2 / float(away @ away)
     if lines[0][1] == lines[1][1]:
         return None
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
@@ -1452,7 +1469,10 @@ def _known_shape(
             # Duration and swing make up for each other: a search may stop on its way.
             if closest <= enough:
                 break
-            closest, other = min((closest, other), _between(corner, other, shift, longest))
+            again, found_again = _between(corner, other, shift, longest)
+            if again >= closest:
+                break
+            closest, other = again, found_again
         if other.takes > _FEW_SEEN * float(np.median(np.diff(corner.t))):
             shape = other
     return shape, shift

@@ -449,3 +449,6 @@ def test_a_slow_body_is_found_behind_a_machine_that_gives_way(world: Any) -> Non
     assert refit is not None
     expected = (body.K1, body.C1, body.C2, machine.values[0])
     assert pytest.approx(expected, rel=0.05) == refit.model.values(refit.theta)
+    # Whether an effect shows is asked beside one body: another is a change as well.
+    _, states = bench.guesses(Model(('machine_compliance',)), base)
+    assert len({tuple(state[:3].tolist()) for state in states}) == 1
