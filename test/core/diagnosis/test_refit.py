@@ -29,7 +29,7 @@ from hapticvision_ros.core.fit.campaign import fit_prepared, in_order, line_spec
 from hapticvision_ros.core.fit.least_squares import covariance
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Signal, Trial
-from hapticvision_ros.sim.campaigns import ForceNoise, peak_force
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force
 from hapticvision_ros.sim.specimen import Body, Undeclared
 import numpy as np
 import pytest
@@ -418,13 +418,18 @@ def test_a_line_is_found_where_samples_are_missing(world: Any) -> None:
     assert line.chance < 1e-6
 
 
+def _on(body: Body, campaign: Campaign, noise: float) -> Campaign:
+    """Return a campaign on another body, with white noise of a part of its largest force."""
+    campaign = replace(campaign, body=body)
+    level = ForceNoise(noise * peak_force(campaign))
+    return replace(campaign, sensors=replace(campaign.sensors, force_noise=level))
+
+
 def test_a_lag_is_found_where_the_base_model_has_done_without_its_viscosity(world: Any) -> None:
     """C1 makes the force jump at the touch: a load cell that is late leaves none of it to see."""
     body = Body(1000.0, 75.0, 425.0)
     pushes = ((0.01, 0.01), (0.0017, 0.01), (0.01, 0.004))
-    campaign = replace(world.campaign(pushes, rate=250.0, hold=2.0), body=body)
-    noise = ForceNoise(0.005 * peak_force(campaign))
-    campaign = replace(campaign, sensors=replace(campaign.sensors, force_noise=noise))
+    campaign = _on(body, world.campaign(pushes, rate=250.0, hold=2.0), 0.005)
     late = Undeclared('force_lag', (0.125,))
     bench, base = world.measure(campaign, late, seed=31).bench()
     C1, C2 = base.model.values(base.theta)[1:3]
@@ -439,9 +444,7 @@ def test_a_slow_body_is_found_behind_a_machine_that_gives_way(world: Any) -> Non
     """Its spring is nothing beside the noise, and the base model makes one of the machine."""
     body = Body(21.0, 718.0, 560.0)
     pushes = ((0.008, 0.0036), (0.005, 0.004), (0.019, 0.0049))
-    campaign = replace(world.campaign(pushes, hold=30.0, recover=40.0), body=body)
-    noise = ForceNoise(0.015 * peak_force(campaign))
-    campaign = replace(campaign, sensors=replace(campaign.sensors, force_noise=noise))
+    campaign = _on(body, world.campaign(pushes, hold=30.0, recover=40.0), 0.015)
     machine = Undeclared('machine_compliance', (9500.0,))
     bench, base = world.measure(campaign, machine, seed=32).bench()
     assert base.model.values(base.theta)[0] > 100.0 * body.K1
