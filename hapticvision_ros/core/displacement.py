@@ -17,21 +17,23 @@ The paper's displacement height H, from clouds: original height minus height now
 
 The tool hides the dent while it is down. The surface is seen again once the tool has risen above
 it; the median height within a small radius of the contact axis is then compared with the same
-before the push.
+before the push. Clouds in which there is no tool show the dent all the time.
 
 Heights are over the support plane as each frame shows it: a sensor that drifts, sinks or is
 knocked moves plane and surface alike. Which pixels see the plane is found once; a frame then costs
-a fit to some thousand of them.
+a fit to some thousand of them. Close-ups that show the top of the object alone have no plane to
+follow: their heights are taken as they are.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.planning import plan_contact
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
 from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane, LARGEST_OFFSET
+from hapticvision_ros.core.scene.settings import DEFAULT_PLANNING
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,15 @@ _WIDER: Final = 4.0
 """The patch is looked for at this many times its radius: what the tool leaves of it is whole."""
 _FLAT_SAMPLE: Final = 20000
 """Points of a cloud without rows that the plane is looked for in."""
+_WHOLE: Final = 0.9
+"""A patch that has this share of its returns is seen as if there were no tool."""
+
+_FEW_BELOW: Final = 0.02
+_FEW_ABOVE: Final = 0.3
+"""Shares of a close-up that may lie far below and above the surface at the contact point."""
+_NOISES: Final = 5.0
+_LEAST_MARGIN: Final = 5e-5
+"""In standard deviations of the heights in a close-up, and in metres: what may be the tool."""
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
@@ -107,6 +118,9 @@ class DisplacementSettings:
 
 
 DEFAULT_DISPLACEMENT: Final = DisplacementSettings()
+
+OF_RECORDS: Final = replace(DEFAULT_DISPLACEMENT, least_points=3)
+"""No tool is sent to a surface that was recorded: points that are millimetres apart will do."""
 
 
 class DisplacementTracker:
@@ -191,7 +205,8 @@ class DisplacementTracker:
             self._find_pixels(xyz)
             self._shape = xyz.shape
         seen = self._follow_plane(xyz)
-        surface = None if seen is None else self._surface(xyz, tool_height)
+        patch = np.empty(0) if seen is None else self._patch(xyz)
+        surface = _middle(patch[patch < tool_height - settings.tool_margin])
         height, count = surface if surface is not None else (None, 0)
         original = self.original_height
         level = height if height is not None else original
@@ -201,8 +216,9 @@ class DisplacementTracker:
             if self._lowest_tool_height - level < settings.tool_clearance:
                 self._pushed = True
             if tool_height - level < settings.tool_clearance:
-                self._reason = 'the tool is down'
-                return None
+                under = None if seen is None else self._under_tool(patch, seen)
+                self._reason = '' if under is not None else 'the tool is down'
+                return under
         if seen is None:
             return None
         if height is None or count < settings.least_points:
@@ -293,8 +309,8 @@ class DisplacementTracker:
         )
         return under
 
-    def _surface(self, xyz: PointArray, tool_height: float) -> tuple[float, int] | None:
-        """Return the median height of the patch below the tool and its number of points."""
+    def _patch(self, xyz: PointArray) -> FloatArray:
+        """Return the heights of the points within the patch's radius of the contact axis [m]."""
         settings = self._settings
         points = xyz if self._region is None else self._window(xyz[self._region])
         points = self._levelled(points)
@@ -302,11 +318,18 @@ class DisplacementTracker:
             patch = points[self._distance(points) < settings.patch_radius**2]
             # A comparison drops NaN, but not a return at minus infinity.
             patch = patch[np.isfinite(patch[:, 2])]
-            heights = patch[:, 2] - self._level_at(patch)
-        heights = heights[heights < tool_height - settings.tool_margin]
-        if not heights.size:
+            heights: FloatArray = patch[:, 2] - self._level_at(patch)
+        return heights
+
+    def _under_tool(self, patch: FloatArray, seen: float) -> float | None:
+        """Return H below a tool that these clouds do not show; None if they may show it."""
+        original = self.original_height
+        if original is None or patch.size / seen < _WHOLE * float(np.median(self._counts)):
             return None
-        return float(np.median(heights)), int(heights.size)
+        # A tool is held from above: with it in the picture something is higher than the surface.
+        if patch.max() > original + self._settings.tool_margin:
+            return None
+        return original - float(np.median(patch))
 
     def _window(self, region: PointArray) -> PointArray:
         """Return the part of the region in which a look at every sixth pixel finds the patch."""
@@ -359,12 +382,19 @@ class DisplacementTracker:
             return points @ self._rotation + self._shift
 
 
+def _middle(heights: FloatArray) -> tuple[float, int] | None:
+    """Return the median and the number of heights, None if there are none."""
+    if not heights.size:
+        return None
+    return float(np.median(heights)), int(heights.size)
+
+
 def displacement_from_clouds(
     frames: Iterable[CloudFrame],
     tool_height: Signal,
     *,
     contact_point: tuple[float, float, float] | None = None,
-    settings: DisplacementSettings = DEFAULT_DISPLACEMENT,
+    settings: DisplacementSettings = OF_RECORDS,
 ) -> tuple[Signal | None, tuple[str, ...]]:
     """
     Compute H over a trial whose bag has clouds but no displacement height.
@@ -372,7 +402,9 @@ def displacement_from_clouds(
     The contract's clouds are in the frame `support_plane`, z up and z = 0 on the plane. The plane
     is estimated all the same: a cloud in some other frame (a sensor's own) is brought into the
     plane's frame, with a warning. Without a given contact point, it is where the vertical through
-    the mass centre of the object's top view meets the surface.
+    the mass centre of the object's top view meets the surface. Close-ups, which show the top of
+    the object alone, are taken to be in the contract's frame if that puts their surface where the
+    tool was, and the contact point in the middle of what they show.
 
     Parameters
     ----------
@@ -402,6 +434,7 @@ def displacement_from_clouds(
     tracker: DisplacementTracker | None = None
     refusal = 'there is no cloud within the record of the tool height'
     used = 0
+    near: DisplacementSettings | None = None
     for frame in frames:
         if not first <= frame.t <= last or (times and frame.t <= times[-1]):
             continue
@@ -412,7 +445,12 @@ def displacement_from_clouds(
                 # The object may be hidden in the frames before.
                 passed = tool_height.value[tool_height.t <= frame.t]
                 lowest = float(np.nanmin(passed, initial=np.inf))
-                tracker, warnings = _set_up(frame.xyz, tool, lowest, contact_point, settings)
+                close_up = _close_up(frame.xyz, tool_height, contact_point, settings)
+                if close_up is not None:
+                    axis, near, warnings = close_up
+                    tracker = DisplacementTracker(axis, near, lowest_tool_height=lowest)
+                else:
+                    tracker, warnings = _set_up(frame.xyz, tool, lowest, contact_point, settings)
             except InputError as error:
                 text = str(error).rstrip('.')
                 refusal = text[:1].lower() + text[1:]
@@ -435,7 +473,77 @@ def displacement_from_clouds(
             'The clouds give no displacement height: the surface at the contact point was seen '
             f'free of the tool in {len(times)} of {used} frames.',
         )
-    return Signal(np.array(times), np.array(heights)), tuple(warnings)
+    found = Signal(np.array(times), np.array(heights))
+    if near is not None:
+        pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
+        if pressed.size and np.median(pressed) < -near.tool_margin:
+            return None, (
+                'The clouds give no displacement height: they show no support plane, and the '
+                'surface that they show rises where it was pushed, so that they are not in the '
+                'frame of the plane: record clouds in the frame support_plane.',
+            )
+    return found, tuple(warnings)
+
+
+def _close_up(
+    xyz: PointArray,
+    tool_height: Signal,
+    contact_point: tuple[float, float, float] | None,
+    settings: DisplacementSettings,
+) -> tuple[tuple[float, float], DisplacementSettings, list[str]] | None:
+    """
+    Take clouds that show the top of the object alone, without the plane that it lies on.
+
+    Nothing in such a cloud tells its frame but the tool, which came from above the surface and
+    went below it. There is no tool in what is not far from the surface, so that noise alone says
+    how near to the tool's height a point may be.
+
+    Returns
+    -------
+    tuple or None
+        Contact axis [m], settings and warnings; None if the cloud is none of these.
+
+    """
+    points = finite_points(xyz).astype(np.float64)
+    if len(points) < settings.least_points:
+        return None
+    if contact_point is not None:
+        axis = np.array(contact_point[:2])
+    else:
+        # Returns that are lost, and single odd ones, move this less than they do the mean.
+        axis = np.quantile(points[:, :2], (0.02, 0.98), axis=0).mean(axis=0)
+    offset = points[:, :2] - axis
+    patch = np.hypot(*offset.T) < settings.patch_radius
+    if np.count_nonzero(patch) < settings.least_points:
+        return None
+    z = points[:, 2]
+    height = float(np.median(z[patch]))
+    lowest, highest = float(np.nanmin(tool_height.value)), float(np.nanmax(tool_height.value))
+    if (
+        not max(lowest, LARGEST_OFFSET) < height < highest
+        or np.mean(z < max(0.5 * lowest, LARGEST_OFFSET)) > _FEW_BELOW
+        or np.mean(z > height + LARGEST_OFFSET) > _FEW_ABOVE
+    ):
+        return None
+    slopes = np.column_stack((np.ones(len(points)), offset))[patch]
+    residual = z[patch] - slopes @ np.linalg.lstsq(slopes, z[patch], rcond=None)[0]
+    noise = 1.4826 * float(np.median(np.abs(residual)))
+    margin = min(max(_NOISES * noise, _LEAST_MARGIN), settings.tool_margin)
+    near = replace(
+        settings,
+        tool_margin=margin,
+        tool_clearance=min(2.0 * margin, settings.tool_clearance),
+    )
+    warning = (
+        'The clouds show no support plane: their z was taken as the height above it, since the '
+        'tool came from above the surface that they show and went below it'
+    )
+    if contact_point is None:
+        warning += (
+            ', and the contact point in the middle of what they show: '
+            f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm'
+        )
+    return (float(axis[0]), float(axis[1])), near, [f'{warning}.']
 
 
 def _set_up(
@@ -463,7 +571,9 @@ def _set_up(
         if rotation is not None and shift is not None:
             with np.errstate(over='ignore', invalid='ignore'):
                 levelled = (xyz @ rotation.T + shift).astype(np.float32)
-        point = plan_contact(levelled, ceiling=tool_height).contact_point
+        planning = replace(DEFAULT_PLANNING, least_patch_points=settings.least_points)
+        plan = plan_contact(levelled, ceiling=tool_height, settings=planning)
+        point = plan.contact_point
         axis = point[:2]
         warnings.append(
             'The contact point was taken where the vertical through the mass centre of the '

@@ -359,3 +359,95 @@ def test_what_gives_no_height_says_why(clouds, tool_height):
     )
     assert signal is None
     assert 'free of the tool in 1 of 3 frames' in warnings[-1]
+
+
+FLOOR = 0.006
+"""Radius of the flat floor of the dent in a close-up [m]."""
+FINE = 2e-5
+"""Noise of the heights in a close-up [m]."""
+
+
+def close_up(dent, seed, *, curvature=0.0, tool=None, flat=False):
+    """Return 15 by 15 points of the top around the contact point alone, seen from above."""
+    x, y = np.meshgrid(np.arange(-7, 8) * 0.002, np.arange(-7, 8) * 0.002)
+    radius = np.hypot(x, y)
+    slope = np.clip((0.010 - radius) / (0.010 - FLOOR), 0.0, 1.0)
+    z = TOP - curvature * radius**2 - dent * slope
+    random = np.random.default_rng((seed, 5))
+    z = z + FINE * random.standard_normal(z.shape)
+    if tool is not None:
+        # What is seen of a tool from above is its upper end.
+        z = np.where(radius < FLOOR, tool + 0.05, z)
+    cloud = np.stack((x + AXIS[0], y + AXIS[1], z), axis=-1).astype(np.float32)
+    cloud[random.random(z.shape) < 0.02] = np.nan
+    return cloud.reshape(-1, 3) if flat else cloud
+
+
+def close_ups(*, opaque=False, **made):
+    return [
+        CloudFrame(t, close_up(dent, seed, tool=tool if opaque else None, **made), 'support')
+        for seed, (t, tool, dent) in enumerate(trial())
+    ]
+
+
+@pytest.mark.parametrize('made', [{}, {'curvature': 8.0}, {'flat': True}])
+def test_close_ups_of_the_top_are_taken_by_where_the_tool_was(made, tool_height):
+    signal, warnings = displacement_from_clouds(close_ups(**made), tool_height)
+    assert len(warnings) == 1
+    assert 'show no support plane' in warnings[0]
+    assert 'x = 10.0 mm, y = -5.0 mm' in warnings[0]
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert len(signal) >= 0.9 * len(tool_height)
+    assert np.abs(signal.value - truth).max() < 2.0 * FINE
+
+
+def test_close_ups_tell_by_their_own_noise_what_may_be_the_tool():
+    # It stays a millimetre above the surface: 2 mm of margin would leave nothing of it.
+    frames = [(0.1 * k, TOP + 0.001, 0.0) for k in range(10)]
+    frames += [(1.0 + 0.1 * k, TOP - 0.0005 * k, 0.0005 * k) for k in range(9)]
+    frames += [(2.0 + 0.1 * k, TOP + 0.001, 0.002) for k in range(20)]
+    clouds = [
+        CloudFrame(t, close_up(dent, seed, tool=tool if tool < TOP else None), 'support')
+        for seed, (t, tool, dent) in enumerate(frames)
+    ]
+    heights = Signal(np.array([t for t, _, _ in frames]), np.array([z for _, z, _ in frames]))
+    signal, _ = displacement_from_clouds(clouds, heights)
+    assert np.count_nonzero(signal.t > 1.95) == 20
+    assert np.abs(signal.value[signal.t > 1.95] - 0.002).max() < 2.0 * FINE
+    assert not np.any((signal.t > 1.05) & (signal.t < 1.95))
+
+
+def test_a_tool_in_a_close_up_hides_the_dent(tool_height):
+    signal, _ = displacement_from_clouds(close_ups(opaque=True), tool_height)
+    assert signal is None
+    mixed = close_ups(opaque=True)
+    open_view = close_ups()
+    # Before the push and once it is high up it is out of the picture.
+    free = [frame.t < 1.0 or frame.t > 6.0 for frame in mixed]
+    clouds = [b if out else a for a, b, out in zip(mixed, open_view, free, strict=True)]
+    signal, _ = displacement_from_clouds(clouds, tool_height)
+    assert np.all((signal.t < 1.0) | (signal.t > 6.0))
+    assert np.any(signal.t > 6.0)
+
+
+def test_a_surface_that_rises_under_the_tool_is_in_no_frame_of_the_plane(tool_height):
+    clouds = [
+        CloudFrame(frame.t, frame.xyz * np.float32([1, 1, -1]) + np.float32([0, 0, 2 * TOP]), 'c')
+        for frame in close_ups()
+    ]
+    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    assert signal is None
+    assert len(warnings) == 1
+    assert 'rises where it was pushed' in warnings[0]
+
+
+def test_clouds_without_the_tool_show_the_dent_all_the_time(tool_height):
+    clouds = [
+        CloudFrame(t, view(dent, 1.0, seed), 'support_plane')
+        for seed, (t, _, dent) in enumerate(trial())
+    ]
+    signal, _ = displacement_from_clouds(clouds, tool_height, contact_point=(*AXIS, TOP))
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    # Deeper down, the rim hides part of the floor.
+    assert np.any((signal.t > 2.5) & (signal.t < 3.4))
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD

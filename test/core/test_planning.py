@@ -114,6 +114,14 @@ def test_the_objects_top_is_not_the_support_even_if_it_holds_most_points():
     assert plane.offset == pytest.approx(0.0, abs=1e-4)
 
 
+def test_three_points_of_one_row_of_a_grid_propose_no_plane_of_their_own():
+    # Most of this view is the object, so that such triples of the ground are tried first.
+    cloud = scene((0.0, 0.0, 0.26, 0.2, 0.0, TOP), noise=1e-4, step=0.004)
+    for seed in range(10):
+        plane = fit_support_plane(finite_points(cloud), PlanningSettings(seed=seed))
+        assert plane.normal == pytest.approx((0.0, 0.0, 1.0), abs=2e-3)
+
+
 def test_an_upside_down_frame_is_turned_back():
     cloud = finite_points(scene((0.0, 0.0, 0.09, 0.06, 0.0, TOP)))
     flipped = (cloud * (1.0, -1.0, -1.0) + (0.0, 0.0, 0.5)).astype(np.float32)

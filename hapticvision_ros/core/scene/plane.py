@@ -151,7 +151,9 @@ def fit_support_plane(
     proper = lengths > 1e-3 * np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
     normals = normals[proper] / lengths[proper, None]
     offsets = np.einsum('ij,ij->i', normals, a[proper])
-    up = np.sign(normals[:, 2] if levelled else normals @ np.array(seen_from) - offsets)
+    # Not the sign: three points of one row of a regular grid propose an upright plane, of zero.
+    above = normals[:, 2] if levelled else normals @ np.array(seen_from) - offsets
+    up = np.where(above < 0.0, -1.0, 1.0)
     normals, offsets = normals * up[:, None], offsets * up
     heights = sample @ normals.T - offsets
     inside = np.abs(heights) < settings.plane_tolerance
