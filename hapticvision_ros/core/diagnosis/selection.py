@@ -82,8 +82,13 @@ _SIZES: Final = np.geomspace(0.7, 1.6, 24)
 """Sizes over a known one that are looked at where a search does not find its way."""
 CERTAIN: Final = 40.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
-_SECONDARY: Final = 0.1
+_SECONDARY: Final = 0.15
 """A further effect is at least this share of the strongest: below it, forms are not exact."""
+_SECOND_GAIN: Final = 0.05
+"""It gains so much of what those before it have, if it shows only where jumps may be misplaced."""
+_FORM: Final = 0.01
+"""Part of its gain that does not tell a further effect from its like: the form of those before it
+is not exact."""
 _ROUGH: Final = 3
 """Starts above which a parameter is one that a search does not find its way to."""
 _MOST: Final = 3
@@ -93,6 +98,25 @@ _CONTEST: Final = 3
 _FIRST: Final = 10
 _LATER: Final = 5
 """Candidates that are refitted, at first and beside effects that were accepted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strongest:
+    """
+    What was accepted so far.
+
+    Parameters
+    ----------
+    strength, in_height : float
+        The largest strengths in all samples and in the displacement height alone.
+    gain : float
+        What all of it has gained by Schwarz's criterion.
+
+    """
+
+    strength: float = 0.0
+    in_height: float = 0.0
+    gain: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -592,7 +616,7 @@ def select(
         How it came to that; the last has accepted nothing unless the most effects are reached.
 
     """
-    current, rounds, strongest = base, list[Round](), (0.0, 0.0)
+    current, rounds, strongest = base, list[Round](), Strongest()
     while len(rounds) < _MOST:
         added = [name for more in later[: len(rounds)] for name in more]
         open_ = candidates_for(current.model, list(dict.fromkeys((*names, *added))))
@@ -628,9 +652,10 @@ def select(
         alike = tuple(each.effect for each in near)
         rounds.append(Round(current, tried, alike))
         calm = not fleeting(bench, good[0].refit, leader.effect)
-        strongest = (
-            max(strongest[0], strength(bench, good[0].refit, current, calm=calm)),
-            max(strongest[1], leader.in_height),
+        strongest = Strongest(
+            max(strongest.strength, strength(bench, good[0].refit, current, calm=calm)),
+            max(strongest.in_height, leader.in_height),
+            strongest.gain + leader.gain,
         )
         current = good[0].refit
     return current, tuple(rounds)
@@ -674,6 +699,8 @@ def _within(bench: Workbench, good: Sequence[Trialled], part: float) -> list[Tri
     leader = good[0]
     assert leader.refit is not None
     lead = part * LEAD
+    if len(leader.refit.model.effects) > 1:
+        lead = max(lead, part * _FORM * leader.gain)
     enough = leader.gain - lead
     samples = _samples(bench, leader.refit, leader.effect)
     if samples >= _BRIEF:
@@ -714,16 +741,11 @@ def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> boo
     return bool(simpler) and one.refit is not None and fleeting(bench, one.refit, one.effect)
 
 
-def _good(
-    bench: Workbench, tried: Sequence[Trialled], strongest: tuple[float, float]
-) -> list[Trialled]:
-    """
-    Return the candidates that may be accepted, best first.
-
-    Beside what was accepted so far, whose largest strengths are given: in all samples, and in the
-    displacement height alone.
-    """
-    weakest, weakest_in_height = (max(WEAKEST, _SECONDARY * each) for each in strongest)
+def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> list[Trialled]:
+    """Return the candidates that may be accepted beside what was so far, best first."""
+    weakest = max(WEAKEST, _SECONDARY * strongest.strength)
+    weakest_in_height = max(WEAKEST, _SECONDARY * strongest.in_height)
+    certain = max(CERTAIN, _SECOND_GAIN * strongest.gain)
     refused = drawn_out(bench, tried)
 
     def heights_tell(each: Trialled) -> bool:
@@ -733,15 +755,16 @@ def _good(
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
             seen = each.strength > weakest
-            if strongest[0] > 0.0:
+            if strongest.strength > 0.0:
                 # What is off in the form of an effect is made up for where jumps are misplaced.
-                seen &= each.calm > weakest or each.gain > CERTAIN
+                seen &= each.calm > weakest or each.gain > certain
             else:
                 # What acts for a short while, such as adhesion, is weak over whole trials.
                 seen |= each.gain > CERTAIN
             return (seen and _seen(each) > GATE) or heights_tell(each)
         # How a jump is drawn out does not matter to the heights.
-        drawn = _draws_out(bench, each, weakest, min(_seen(each), each.sure))
+        told = min(_seen(each), each.sure)
+        drawn = _draws_out(bench, each, weakest, told) and told >= _SECOND_GAIN * strongest.gain
         if not drawn and not heights_tell(each):
             return False
         # What a simpler one tells as well is not there where that one is refused.

@@ -20,7 +20,7 @@ from typing import Any
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import selection
-from hapticvision_ros.core.diagnosis.refit import Look, Workbench
+from hapticvision_ros.core.diagnosis.refit import Look, Refit, Workbench
 from hapticvision_ros.core.diagnosis.selection import (
     _by_place,
     _good,
@@ -33,6 +33,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     seldom,
     select,
     strength,
+    Strongest,
     Trialled,
     try_all,
 )
@@ -87,21 +88,24 @@ def test_where_the_best_quick_effect_is_too_weak_no_other_quick_one_is_taken(wor
     weak = quick('series_spring', 220.0, 0.06, K_0=1e6)
     general = quick('second_retardation', 24.0, 0.11, K_2=1e6, C_3=1e3)
     assert fleeting(bench, general.refit, general.effect)
-    assert _good(bench, [weak, general], (0.0, 0.0)) == []
-    assert _good(bench, [general], (0.0, 0.0)) == [general]
+    assert _good(bench, [weak, general], Strongest()) == []
+    assert _good(bench, [general], Strongest()) == [general]
     strong = replace(weak, strength=0.2)
-    assert _good(bench, [strong, general], (0.0, 0.0)) == [strong, general]
+    assert _good(bench, [strong, general], Strongest()) == [strong, general]
+    # Nor is what gains a small part of the strongest: how the arm moved is not known so exactly.
+    assert _good(bench, [strong], Strongest(0.5, gain=4300.0)) == [strong]
+    assert _good(bench, [strong], Strongest(0.5, gain=4500.0)) == []
     # What the heights tell of it is another matter.
     seen = replace(weak, in_height=0.4, height_score=45.0)
-    assert _good(bench, [seen], (0.0, 0.0)) == [seen]
+    assert _good(bench, [seen], Strongest()) == [seen]
     # Nor is what only has the moments of jumps known better.
-    assert _good(bench, [replace(strong, sure=15.0)], (0.0, 0.0)) == []
+    assert _good(bench, [replace(strong, sure=15.0)], Strongest()) == []
     # Nor is what the start of the release alone tells, in which a sample is too long.
-    assert _good(bench, [replace(strong, release=210.0)], (0.0, 0.0)) == []
+    assert _good(bench, [replace(strong, release=210.0)], Strongest()) == []
     assert drawn_out(bench, [replace(strong, release=210.0)]) == ()
     # What stops tell that the encoders do not show is said and not taken.
     unseen = replace(strong, stop=210.0)
-    assert _good(bench, [unseen], (0.0, 0.0)) == []
+    assert _good(bench, [unseen], Strongest()) == []
     assert drawn_out(bench, [unseen]) == (unseen,)
     assert drawn_out(bench, [strong]) == ()
 
@@ -116,11 +120,11 @@ def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
     refused = Trialled('series_spring', 310.0, 300.0, 1.0, spring, stop=290.0)
     taken = Trialled('contact_growth', 110.0, 100.0, 1.0, other)
     assert fleeting(bench, spring, 'series_spring')
-    assert _good(bench, [refused, taken], (0.0, 0.0)) == []
+    assert _good(bench, [refused, taken], Strongest()) == []
     # Nor is what gains a little more than that: only what clearly does is not asked.
     little, more = replace(taken, gain=309.0), replace(taken, gain=311.0)
-    assert _good(bench, [little, refused], (0.0, 0.0)) == []
-    assert _good(bench, [more, refused], (0.0, 0.0)) == [more]
+    assert _good(bench, [little, refused], Strongest()) == []
+    assert _good(bench, [more, refused], Strongest()) == [more]
     # What is over at once is refused as well, wherever it is told.
     place = spring.model.names.index('K_0')
     values = spring.model.values(spring.theta)
@@ -129,21 +133,21 @@ def test_what_takes_some_of_drawn_out_jumps_is_no_effect(world: Any) -> None:
     state[: values.size] = spring.model.theta(values)
     at_once = replace(refused, refit=replace(spring, state=state), stop=0.0)
     assert drawn_out(bench, [at_once]) == (at_once,)
-    assert _good(bench, [at_once, taken], (0.0, 0.0)) == []
+    assert _good(bench, [at_once, taken], Strongest()) == []
 
 
 def test_a_clear_gain_is_an_effect_though_it_acts_in_few_samples(world: Any) -> None:
     bench, base = world.measure(world.campaign(world.four[:2]), seed=1).bench()
     refit = bench.refit(Model(('height_bias',)), base)
     clear, less = (Trialled('height_bias', gain, gain, 0.04, refit) for gain in (45.0, 35.0))
-    assert _good(bench, [clear, less], (0.0, 0.0)) == [clear]
+    assert _good(bench, [clear, less], Strongest()) == [clear]
     # Beside a stronger effect the share of that one counts.
-    assert _good(bench, [clear], (1.0, 1.0)) == []
+    assert _good(bench, [clear], Strongest(1.0, 1.0)) == []
     # In the heights that of an effect which they show as well: they are few beside the forces.
     shown = replace(clear, in_height=0.3, height_score=45.0)
-    assert _good(bench, [shown], (1.0, 0.1)) == [shown]
-    assert _good(bench, [shown], (1.0, 4.0)) == []
-    assert _good(bench, [replace(shown, height_score=35.0)], (1.0, 0.1)) == []
+    assert _good(bench, [shown], Strongest(1.0, 0.1)) == [shown]
+    assert _good(bench, [shown], Strongest(1.0, 4.0)) == []
+    assert _good(bench, [replace(shown, height_score=35.0)], Strongest(1.0, 0.1)) == []
 
 
 def test_what_only_misplaced_jumps_show_beside_an_effect_must_be_certain(world: Any) -> None:
@@ -152,10 +156,20 @@ def test_what_only_misplaced_jumps_show_beside_an_effect_must_be_certain(world: 
     refit = bench.refit(Model(('contact_offset:loose_top',)), base)
     assert refit is not None
     moved = Trialled('contact_offset:loose_top', 35.0, 25.0, 0.3, refit, calm=0.01)
-    assert _good(bench, [moved], (0.0, 0.0)) == [moved]
-    assert _good(bench, [moved], (0.5, 0.0)) == []
+    assert _good(bench, [moved], Strongest()) == [moved]
+    assert _good(bench, [moved], Strongest(0.4)) == []
     for told in (replace(moved, calm=0.1), replace(moved, gain=45.0)):
-        assert _good(bench, [told], (0.5, 0.0)) == [told]
+        assert _good(bench, [told], Strongest(0.4)) == [told]
+    # Beside a strong one it is more of what that one gains.
+    large = replace(moved, gain=45.0)
+    assert _good(bench, [large], Strongest(0.4, gain=850.0)) == [large]
+    assert _good(bench, [large], Strongest(0.4, gain=950.0)) == []
+    seen = replace(moved, calm=0.1)
+    assert _good(bench, [seen], Strongest(0.4, gain=950.0)) == [seen]
+    # What is weak beside it may be its form.
+    seen = replace(moved, calm=0.3)
+    assert _good(bench, [seen], Strongest(1.9)) == [seen]
+    assert _good(bench, [seen], Strongest(2.1)) == []
 
 
 def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> None:
@@ -307,6 +321,20 @@ def test_what_is_over_within_few_samples_is_not_told_apart_by_little_of_the_gain
     # What leads only by how the arm moved unseen does not lead.
     assert near(0.5, (960.0, 19.0), (960.0, 21.0)) == 1
     assert near(10.0, (960.0, 10.0)) == 0
+
+
+def test_beside_another_effect_a_small_part_of_the_gain_tells_nothing_apart(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    alone = bench.refit(Model(('parallel_spring',)), base)
+    beside = bench.refit(Model(('contact_growth', 'parallel_spring')), base)
+
+    def near(refit: Refit, first: float, second: float) -> int:
+        named = (('parallel_spring', first), ('second_retardation', second))
+        return len(_near(bench, [Trialled(name, g, g, 1.0, refit) for name, g in named]))
+
+    assert near(alone, 5000.0, 4960.0) == 1
+    assert near(beside, 5000.0, 4960.0) == 2
+    assert near(beside, 5000.0, 4940.0) == 1
 
 
 def test_laws_of_one_effect_are_one_place_of_a_set(world: Any) -> None:
