@@ -50,6 +50,7 @@ from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_M
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 _FEWEST: Final = 16
 """A trial with fewer force samples is not fitted."""
@@ -125,6 +126,12 @@ _PARTS: Final = 4
 _QUICK: Final = 24.0
 """Straight parts of an interval of the force over which the tool changes its speed steadily; and
 intervals that this takes at most where it matters."""
+_EXACT: Final = (1e-6, 1e-5, 1e-4)
+"""Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
+_CURVED: Final = 0.5
+"""Part of what straight lines leave of samples between others that a curve may leave of them."""
+_BETWEEN: Final = 8
+"""Straight pieces that stand for the curve from one exact sample to the next."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOSTLY_ROUNDED: Final = 3.0
@@ -1140,7 +1147,7 @@ def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = 
     split in two where their samples, or means of 4 to 64 of them, leave a straight line by more
     than the noise allows, so that a curved path is followed by many of them. Corners between two
     clear slopes go to where the lines meet, and the levels at all corners are those of least
-    squares. Where the encoders have no noise, the samples themselves are the path.
+    squares. Encoders that are nearly exact are followed as far as the shapes of arms go.
 
     Parameters
     ----------
@@ -1181,6 +1188,10 @@ def _path(
     # A tool that has a mass is felt in the air as well where it changes its speed.
     first, last = 0, t.size
     touch = -math.inf if phases.t_contact is None else phases.t_contact
+    depth = float(value.max())
+    if noise < _EXACT[-1] * depth:
+        # A campaign's paths are made several times, for arms that change their speed otherwise.
+        noise = _as_exact(t.tobytes(), value.tobytes(), noise, depth, tuple(events), touch)
     found = _closely(t, value, events, noise, servo, touch)
     if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
         first, last = near
@@ -1208,6 +1219,38 @@ def _path(
     return path, [
         turn for turn in turns if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
     ]
+
+
+@lru_cache(maxsize=64)
+def _as_exact(
+    t: bytes,
+    value: bytes,
+    noise: float,
+    depth: float,
+    events: tuple[float, ...],
+    touch: float,
+) -> float:
+    """
+    Return to what encoders that are nearly exact are to be followed [m].
+
+    No arm goes quite as any of the shapes. Where they follow the samples to a part of the depth
+    that matters to no force, they tell what is between these; a path through the samples does not.
+    """
+    samples, heights = np.frombuffer(t).copy(), np.frombuffer(value).copy()
+    # The samples themselves are the path where no shape follows them.
+    best, most = 0.0 if noise < _EXACT[0] * depth else noise, 0
+    for part in _EXACT:
+        if part == _EXACT[-1] and best == 0.0 and _is_smooth(samples, heights, depth):
+            break
+        least = max(noise, part * depth)
+        found = _closely(samples, heights, events, least, None, touch)
+        # A corner that is followed only roughly is none.
+        turns = [] if found is None else found[2]
+        lasting = [each for each in turns if each.bend.stop > each.bend.start]
+        count = len(turns if part == _EXACT[0] else lasting)
+        if count > most:
+            best, most = least, count
+    return best
 
 
 def _rest(
@@ -1240,8 +1283,8 @@ def _closely(
     touch: float,
 ) -> tuple[FloatArray, FloatArray, list[_Turned]] | None:
     """Return a path that follows the samples; None where it takes too many corners."""
-    if noise <= 1e-7 * float(np.ptp(value)) or t.size < 16:
-        return *_thinned(t, value), []
+    if noise <= 0.0 or t.size < 16:
+        return *_thinned(*_curved(t, value)), []
     breaks = sorted({b for b in events if t[1] < b < t[-2]})
     found = _pieces(t, value, breaks, noise)
     knots, levels = _levels(t, value, _meet(t, value, found, noise))
@@ -1728,6 +1771,38 @@ def _spread(off: FloatArray, alike: float, rounded: float) -> float:
         return noise
     usual = off[np.abs(off) < _LEFT_SIGMAS * noise]
     return float(np.sqrt(np.mean(usual**2))) / math.sqrt(alike)
+
+
+def _is_smooth(t: FloatArray, value: FloatArray, depth: float) -> bool:
+    """
+    Return whether a curve through every second sample tells the others.
+
+    Through all of them it is off by a sixteenth of that.
+    """
+    inner = slice(1, t.size - 1, 2)
+    known_t, known = t[::2], value[::2]
+    away = CubicSpline(known_t, known)(t[inner]) - value[inner]
+    straight = np.interp(t[inner], known_t, known) - value[inner]
+    better = float(away @ away) <= _CURVED**2 * float(straight @ straight)
+    return better and float(np.abs(away).max(initial=0.0)) < 16.0 * _EXACT[-1] * depth
+
+
+def _curved(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """
+    Return the way between samples that are exact, as a cubic spline through all of them tells it.
+
+    A tool that changes its speed too quickly for that is left with its samples.
+    """
+    depth = float(value.max())
+    if t.size < _FEWEST or not _is_smooth(t, value, depth):
+        return t, value
+    spline = CubicSpline(t, value)
+    middle = 0.5 * (t[1:] + t[:-1])
+    bent = np.abs(spline(middle) - 0.5 * (value[1:] + value[:-1])) > _EXACT[0] * depth
+    part = np.arange(1, _BETWEEN) / _BETWEEN
+    more = (t[:-1, None] + np.diff(t)[:, None] * part)[bent].ravel()
+    knots = np.sort(np.concatenate((t, more)))
+    return knots, spline(knots)
 
 
 def _thinned(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -132,6 +132,41 @@ def test_clean_encoders_are_followed_exactly() -> None:
     np.testing.assert_allclose(path.at(t[inside]), wavy[inside], atol=1e-9)
 
 
+@pytest.mark.parametrize(('duration', 'lag'), [(0.004, 0.0), (0.05, 0.0), (0.05, 0.012)])
+def test_clean_encoders_tell_how_an_arm_stops_between_their_samples(duration, lag) -> None:
+    """A straight line from one sample to the next of a stop over 50 ms is off by 0.9 um."""
+    t = np.arange(0.0, 14.5, 0.01)
+    path = tool_path(Signal(t, _served(t, 0.0035, duration, lag)), PHASES)
+    near = np.arange(2.8, 3.3, 5e-4)
+    off = path.at(near) - _served(near, 0.0035, duration, lag)
+    # Of a stop between two samples they tell where, and not how.
+    assert np.abs(off).max() < (2e-6 if duration < 0.01 else 1e-7)
+    assert np.abs(off[np.abs(near - 3.0) > 0.02]).max() < 1e-7
+
+
+def _slowing(t: np.ndarray) -> np.ndarray:
+    """Return the way of a tool that slows down over half a second, with a wobble."""
+    fine = np.arange(0.0, 15.0, 1e-4)
+    rest = np.clip((3.0 - fine) / 0.5, 0.0, 1.0)
+    speed = 0.0035 * rest**3 * (10.0 - 15.0 * rest + 6.0 * rest**2)
+    speed = speed * (1.0 + 0.2 * np.sin(30.0 * fine) * (1.0 - rest))
+    way = np.cumsum(speed) * 1e-4
+    return np.interp(t, fine, way - np.interp(1.0, fine, way))
+
+
+def test_clean_encoders_tell_a_way_that_no_shape_follows() -> None:
+    t = np.arange(0.0, 14.5, 0.01)
+    path = tool_path(Signal(t, _slowing(t)), PHASES)
+    assert not [bend for bend in path.bends if abs(bend.t - 2.75) < 0.3]
+    near = np.arange(2.52, 2.98, 1e-3)
+    speed, way = np.diff(path.at(near)) / 1e-3, np.diff(_slowing(near)) / 1e-3
+    # Straight lines between the samples are off by up to 0.07 mm/s.
+    assert np.abs(speed - way).max() < 0.012e-3
+    # Two straight pieces that meet between samples are no curve: there it stays as it was.
+    kink = tool_path(Signal(t, np.minimum(0.001 * (t - 1.0003), 0.002)), PHASES)
+    assert np.abs(kink.at(t) - np.minimum(0.001 * (t - 1.0003), 0.002)).max() < 1e-9
+
+
 def test_a_quick_withdrawal_between_slow_samples_does_not_bend_the_hold() -> None:
     """The arm is at 20 mm/s after two samples of 50 Hz: no line, and no acceleration, is seen."""
     t = np.arange(0.0, 20.0, 0.02)
