@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticvision_ros.core.errors import InputError
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.planning import plan_contact
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
 from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane, LARGEST_OFFSET
@@ -52,12 +53,14 @@ _FLAT_SAMPLE: Final = 20000
 _WHOLE: Final = 0.9
 """A patch that has this share of its returns is seen as if there were no tool."""
 
-_FEW_BELOW: Final = 0.02
+_FEW_BELOW: Final = 0.1
 _FEW_ABOVE: Final = 0.3
 """Shares of a close-up that may lie far below and above the surface at the contact point."""
+_SPREAD: Final = 5.0
+"""Standard deviations within which all heights of a patch without a tool are."""
 _NOISES: Final = 5.0
 _LEAST_MARGIN: Final = 5e-5
-"""In standard deviations of the heights in a close-up, and in metres: what may be the tool."""
+"""In standard deviations of the heights, and in metres: how near to its tip may be the tool."""
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
@@ -96,6 +99,9 @@ class DisplacementSettings:
         With fewer, and as few returns from them in a frame, it is not seen.
     plane_tolerance : float
         Half thickness of the plane [m]: a few times the sensor's noise.
+    noise : float
+        Standard deviation of a height [m], where it is known: a patch whose heights spread no
+        more than this has no tool in it, however near that is. Zero if it is not.
     largest_shift, largest_tilt : float
         A plane that has moved further than this since the first frame [m], [rad] is refused: what
         the contact axis points at is then not known any more.
@@ -113,6 +119,7 @@ class DisplacementSettings:
     plane_pixels: int = 2000
     least_plane_pixels: int = 100
     plane_tolerance: float = 0.003
+    noise: float = 0.0
     largest_shift: float = 0.01
     largest_tilt: float = float(np.deg2rad(2.0))
 
@@ -207,15 +214,19 @@ class DisplacementTracker:
         seen = self._follow_plane(xyz)
         patch = np.empty(0) if seen is None else self._patch(xyz)
         surface = _middle(patch[patch < tool_height - settings.tool_margin])
+        clearance = settings.tool_clearance
+        if self._is_bare(patch):
+            surface = float(np.median(patch)), int(patch.size)
+            clearance = _SPREAD * settings.noise / np.sqrt(patch.size)
         height, count = surface if surface is not None else (None, 0)
         original = self.original_height
         level = height if height is not None else original
         self._lowest_tool_height = min(self._lowest_tool_height, tool_height)
         if level is not None:
             # Also a surface that was hidden when the tool came down has been pushed.
-            if self._lowest_tool_height - level < settings.tool_clearance:
+            if self._lowest_tool_height - level < clearance:
                 self._pushed = True
-            if tool_height - level < settings.tool_clearance:
+            if tool_height - level < clearance:
                 under = None if seen is None else self._under_tool(patch, seen)
                 self._reason = '' if under is not None else 'the tool is down'
                 return under
@@ -320,6 +331,13 @@ class DisplacementTracker:
             patch = patch[np.isfinite(patch[:, 2])]
             heights: FloatArray = patch[:, 2] - self._level_at(patch)
         return heights
+
+    def _is_bare(self, patch: FloatArray) -> bool:
+        """Return whether a patch is a surface whose heights are only as noisy as they are known."""
+        settings = self._settings
+        if patch.size < settings.least_points:
+            return False
+        return bool(np.ptp(patch) < 2.0 * _SPREAD * settings.noise)
 
     def _under_tool(self, patch: FloatArray, seen: float) -> float | None:
         """Return H below a tool that these clouds do not show; None if they may show it."""
@@ -485,6 +503,22 @@ def displacement_from_clouds(
     return found, tuple(warnings)
 
 
+def _by_noise(patch: FloatArray, settings: DisplacementSettings) -> DisplacementSettings:
+    """
+    Return settings that go as near to the tool as the noise of the heights in a patch allows.
+
+    A tool that stays within millimetres of the surface would leave none to be seen.
+    """
+    if len(patch) < settings.least_points:
+        return settings
+    slopes = np.column_stack((np.ones(len(patch)), patch[:, :2]))
+    residual = patch[:, 2] - slopes @ np.linalg.lstsq(slopes, patch[:, 2], rcond=None)[0]
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(residual)))
+    margin = min(max(_NOISES * noise, _LEAST_MARGIN), settings.tool_margin)
+    clearance = min(2.0 * margin, settings.tool_clearance)
+    return replace(settings, tool_margin=margin, tool_clearance=clearance, noise=noise)
+
+
 def _close_up(
     xyz: PointArray,
     tool_height: Signal,
@@ -495,8 +529,7 @@ def _close_up(
     Take clouds that show the top of the object alone, without the plane that it lies on.
 
     Nothing in such a cloud tells its frame but the tool, which came from above the surface and
-    went below it. There is no tool in what is not far from the surface, so that noise alone says
-    how near to the tool's height a point may be.
+    went below it.
 
     Returns
     -------
@@ -525,15 +558,9 @@ def _close_up(
         or np.mean(z > height + LARGEST_OFFSET) > _FEW_ABOVE
     ):
         return None
-    slopes = np.column_stack((np.ones(len(points)), offset))[patch]
-    residual = z[patch] - slopes @ np.linalg.lstsq(slopes, z[patch], rcond=None)[0]
-    noise = 1.4826 * float(np.median(np.abs(residual)))
-    margin = min(max(_NOISES * noise, _LEAST_MARGIN), settings.tool_margin)
-    near = replace(
-        settings,
-        tool_margin=margin,
-        tool_clearance=min(2.0 * margin, settings.tool_clearance),
-    )
+    # A tool that is in sight is no surface.
+    surface = patch & (z < height + LARGEST_OFFSET)
+    near = _by_noise(np.column_stack((offset, z))[surface], settings)
     warning = (
         'The clouds show no support plane: their z was taken as the height above it, since the '
         'tool came from above the surface that they show and went below it'
@@ -557,8 +584,11 @@ def _set_up(
     warnings: list[str] = []
     plane = fit_support_plane(finite_points(xyz))
     rotation = shift = None
+    levelled = xyz
     if plane.tilt > LARGEST_TILT or abs(plane.offset) > LARGEST_OFFSET:
         rotation, shift = plane.to_plane_frame()
+        with np.errstate(over='ignore', invalid='ignore'):
+            levelled = (xyz @ rotation.T + shift).astype(np.float32)
         warnings.append(
             'The clouds are not in the frame support_plane (the largest plane is tilted by '
             f'{np.rad2deg(plane.tilt):.3g} deg, {plane.offset * 1e3:.3g} mm from the origin): '
@@ -567,19 +597,22 @@ def _set_up(
     if contact_point is not None and rotation is None:
         axis = contact_point[:2]
     else:
-        levelled = xyz
-        if rotation is not None and shift is not None:
-            with np.errstate(over='ignore', invalid='ignore'):
-                levelled = (xyz @ rotation.T + shift).astype(np.float32)
         planning = replace(DEFAULT_PLANNING, least_patch_points=settings.least_points)
-        plan = plan_contact(levelled, ceiling=tool_height, settings=planning)
-        point = plan.contact_point
+        try:
+            point = plan_contact(levelled, ceiling=tool_height, settings=planning).contact_point
+        except InputError:
+            # The tool may be near, and out of sight.
+            point = plan_contact(levelled, settings=planning).contact_point
         axis = point[:2]
         warnings.append(
             'The contact point was taken where the vertical through the mass centre of the '
             f'top view meets the surface: x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm '
             'in the frame of the support plane.'
         )
+    points = finite_points(levelled).astype(np.float64)
+    points[:, :2] -= axis
+    patch = points[np.hypot(*points[:, :2].T) < settings.patch_radius]
+    settings = _by_noise(patch[patch[:, 2] < tool_height], settings)
     tracker = DisplacementTracker(
         axis, settings, rotation=rotation, shift=shift, lowest_tool_height=lowest
     )

@@ -367,17 +367,17 @@ FINE = 2e-5
 """Noise of the heights in a close-up [m]."""
 
 
-def close_up(dent, seed, *, curvature=0.0, tool=None, flat=False):
+def close_up(dent, seed, *, curvature=0.0, tool=None, thick=FLOOR, noise=FINE, flat=False):
     """Return 15 by 15 points of the top around the contact point alone, seen from above."""
     x, y = np.meshgrid(np.arange(-7, 8) * 0.002, np.arange(-7, 8) * 0.002)
     radius = np.hypot(x, y)
     slope = np.clip((0.010 - radius) / (0.010 - FLOOR), 0.0, 1.0)
     z = TOP - curvature * radius**2 - dent * slope
     random = np.random.default_rng((seed, 5))
-    z = z + FINE * random.standard_normal(z.shape)
+    z = z + noise * random.standard_normal(z.shape)
     if tool is not None:
         # What is seen of a tool from above is its upper end.
-        z = np.where(radius < FLOOR, tool + 0.05, z)
+        z = np.where(radius < thick, tool + 0.05, z)
     cloud = np.stack((x + AXIS[0], y + AXIS[1], z), axis=-1).astype(np.float32)
     cloud[random.random(z.shape) < 0.02] = np.nan
     return cloud.reshape(-1, 3) if flat else cloud
@@ -401,20 +401,35 @@ def test_close_ups_of_the_top_are_taken_by_where_the_tool_was(made, tool_height)
     assert np.abs(signal.value - truth).max() < 2.0 * FINE
 
 
-def test_close_ups_tell_by_their_own_noise_what_may_be_the_tool():
-    # It stays a millimetre above the surface: 2 mm of margin would leave nothing of it.
+def near_by(**made):
+    """Return clouds and tool heights of a push whose tool stays a millimetre above the surface."""
     frames = [(0.1 * k, TOP + 0.001, 0.0) for k in range(10)]
     frames += [(1.0 + 0.1 * k, TOP - 0.0005 * k, 0.0005 * k) for k in range(9)]
     frames += [(2.0 + 0.1 * k, TOP + 0.001, 0.002) for k in range(20)]
+    thin = made.pop('thin', False)
     clouds = [
-        CloudFrame(t, close_up(dent, seed, tool=tool if tool < TOP else None), 'support')
+        CloudFrame(t, close_up(dent, seed, tool=tool if thin else None, thick=0.003, **made), 'c')
         for seed, (t, tool, dent) in enumerate(frames)
     ]
     heights = Signal(np.array([t for t, _, _ in frames]), np.array([z for _, z, _ in frames]))
-    signal, _ = displacement_from_clouds(clouds, heights)
-    assert np.count_nonzero(signal.t > 1.95) == 20
-    assert np.abs(signal.value[signal.t > 1.95] - 0.002).max() < 2.0 * FINE
+    return clouds, heights
+
+
+def test_close_ups_tell_by_their_own_noise_what_may_be_the_tool():
+    """A margin of 2 mm would leave nothing of the surface around a tool."""
+    signal, _ = displacement_from_clouds(*near_by(thin=True))
+    after = signal.t > 1.95
+    assert np.count_nonzero(after) == 20
+    assert np.abs(signal.value[after] - 0.002).max() < 2.0 * FINE
     assert not np.any((signal.t > 1.05) & (signal.t < 1.95))
+
+
+def test_a_patch_that_spreads_as_the_noise_has_no_tool_in_it():
+    """Noise of 0.3 mm does not hide a tool of which nothing is seen."""
+    signal, _ = displacement_from_clouds(*near_by(noise=3e-4))
+    after = signal.t > 1.95
+    assert np.count_nonzero(after) >= 15
+    assert np.abs(signal.value[after] - 0.002).max() < 1.2 * 3e-4
 
 
 def test_a_tool_in_a_close_up_hides_the_dent(tool_height):

@@ -107,8 +107,9 @@ class Strongest:
 
     Parameters
     ----------
-    strength, in_height : float
-        The largest strengths in all samples and in the displacement height alone.
+    strength, in_height, calm : float
+        The largest strengths in all samples, in the displacement height alone, and where no jump
+        is whose moment is not known.
     gain : float
         What all of it has gained by Schwarz's criterion.
 
@@ -116,6 +117,7 @@ class Strongest:
 
     strength: float = 0.0
     in_height: float = 0.0
+    calm: float = 0.0
     gain: float = 0.0
 
 
@@ -651,10 +653,14 @@ def select(
         near = _near(bench, [*good, *others], {each.effect for each in others})
         alike = tuple(each.effect for each in near)
         rounds.append(Round(current, tried, alike))
-        calm = not fleeting(bench, good[0].refit, leader.effect)
+        calm = strength(bench, good[0].refit, current, calm=True)
+        whole = calm
+        if fleeting(bench, good[0].refit, leader.effect):
+            whole = strength(bench, good[0].refit, current)
         strongest = Strongest(
-            max(strongest.strength, strength(bench, good[0].refit, current, calm=calm)),
+            max(strongest.strength, whole),
             max(strongest.in_height, leader.in_height),
+            max(strongest.calm, calm),
             strongest.gain + leader.gain,
         )
         current = good[0].refit
@@ -745,6 +751,8 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> 
     """Return the candidates that may be accepted beside what was so far, best first."""
     weakest = max(WEAKEST, _SECONDARY * strongest.strength)
     weakest_in_height = max(WEAKEST, _SECONDARY * strongest.in_height)
+    # What draws jumps out is strong there only, and what lasts is held against what lasts.
+    weakest_calm = max(WEAKEST, _SECONDARY * strongest.calm)
     certain = max(CERTAIN, _SECOND_GAIN * strongest.gain)
     refused = drawn_out(bench, tried)
 
@@ -754,10 +762,10 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> 
 
     def enough(each: Trialled, refit: Refit) -> bool:
         if not fleeting(bench, refit, each.effect):
-            seen = each.strength > weakest
+            seen = each.strength > weakest_calm
             if strongest.strength > 0.0:
                 # What is off in the form of an effect is made up for where jumps are misplaced.
-                seen &= each.calm > weakest or each.gain > certain
+                seen &= each.calm > weakest_calm or each.gain > certain
             else:
                 # What acts for a short while, such as adhesion, is weak over whole trials.
                 seen |= each.gain > CERTAIN
