@@ -333,7 +333,7 @@ class DisplacementTracker:
         return heights
 
     def _is_bare(self, patch: FloatArray) -> bool:
-        """Return whether a patch is a surface whose heights are only as noisy as they are known."""
+        """Return whether the heights of a patch are those of one surface, but for their noise."""
         settings = self._settings
         if patch.size < settings.least_points:
             return False

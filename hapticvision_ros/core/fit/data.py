@@ -131,7 +131,7 @@ _EXACT: Final = (1e-6, 1e-5, 1e-4)
 _CURVED: Final = 0.5
 """Part of what straight lines leave of samples between others that a curve may leave of them."""
 _BETWEEN: Final = 8
-"""Straight pieces that stand for the curve from one exact sample to the next."""
+"""Most straight pieces that stand for the curve from one exact sample to the next."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOSTLY_ROUNDED: Final = 3.0
@@ -1798,10 +1798,12 @@ def _curved(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
         return t, value
     spline = CubicSpline(t, value)
     middle = 0.5 * (t[1:] + t[:-1])
-    bent = np.abs(spline(middle) - 0.5 * (value[1:] + value[:-1])) > _EXACT[0] * depth
-    part = np.arange(1, _BETWEEN) / _BETWEEN
-    more = (t[:-1, None] + np.diff(t)[:, None] * part)[bent].ravel()
-    knots = np.sort(np.concatenate((t, more)))
+    away = np.abs(spline(middle) - 0.5 * (value[1:] + value[:-1]))
+    # Of parts of a piece each leaves the curve by the square of their number less.
+    parts = np.clip(np.ceil(np.sqrt(away / (_EXACT[0] * depth))), 1, _BETWEEN).astype(np.intp)
+    number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
+    knots = np.repeat(t[:-1], parts) + np.repeat(np.diff(t) / parts, parts) * number
+    knots = np.append(knots, t[-1])
     return knots, spline(knots)
 
 
