@@ -59,6 +59,10 @@ _FEW_ABOVE: Final = 0.3
 _SPREAD: Final = 5.0
 """Standard deviations within which all heights of a patch without a tool are."""
 _NOISES: Final = 5.0
+_RISES: Final = 0.1
+"""Part of the tool's way by which a close-up rises that is in another frame."""
+_LEAST_TOLD: Final = 8
+"""Fewest heights that tell their own noise."""
 _LEAST_MARGIN: Final = 5e-5
 """In standard deviations of the heights, and in metres: how near to its tip may be the tool."""
 
@@ -215,7 +219,7 @@ class DisplacementTracker:
         patch = np.empty(0) if seen is None else self._patch(xyz)
         surface = _middle(patch[patch < tool_height - settings.tool_margin])
         clearance = settings.tool_clearance
-        if self._is_bare(patch):
+        if self._is_bare(patch) and np.median(patch) < tool_height + settings.tool_margin:
             surface = float(np.median(patch)), int(patch.size)
             clearance = _SPREAD * settings.noise / np.sqrt(patch.size)
         height, count = surface if surface is not None else (None, 0)
@@ -224,7 +228,9 @@ class DisplacementTracker:
         self._lowest_tool_height = min(self._lowest_tool_height, tool_height)
         if level is not None:
             # Also a surface that was hidden when the tool came down has been pushed.
-            if self._lowest_tool_height - level < clearance:
+            # A bare surface may have followed a tool whose height is a little off.
+            settled = level if original is None else max(level, original)
+            if self._lowest_tool_height - settled < clearance:
                 self._pushed = True
             if tool_height - level < clearance:
                 under = None if seen is None else self._under_tool(patch, seen)
@@ -494,7 +500,9 @@ def displacement_from_clouds(
     found = Signal(np.array(times), np.array(heights))
     if near is not None:
         pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
-        if pressed.size and np.median(pressed) < -near.tool_margin:
+        # A sensor that drifts, or a tool whose height is a little off, is no other frame.
+        deep = max(near.tool_margin, _RISES * float(np.ptp(tool_height.value)))
+        if pressed.size and np.median(pressed) < -deep:
             return None, (
                 'The clouds give no displacement height: they show no support plane, and the '
                 'surface that they show rises where it was pushed, so that they are not in the '
@@ -509,12 +517,16 @@ def _by_noise(patch: FloatArray, settings: DisplacementSettings) -> Displacement
 
     A tool that stays within millimetres of the surface would leave none to be seen.
     """
-    if len(patch) < settings.least_points:
+    if len(patch) < _LEAST_TOLD:
         return settings
     slopes = np.column_stack((np.ones(len(patch)), patch[:, :2]))
     residual = patch[:, 2] - slopes @ np.linalg.lstsq(slopes, patch[:, 2], rcond=None)[0]
-    noise = NORMAL_FROM_MAD * float(np.median(np.abs(residual)))
-    margin = min(max(_NOISES * noise, _LEAST_MARGIN), settings.tool_margin)
+    free = len(patch) / (len(patch) - slopes.shape[1])
+    noise = NORMAL_FROM_MAD * float(np.median(np.abs(residual))) * np.sqrt(free)
+    if _NOISES * noise > settings.tool_margin:
+        # That much may be a tool in sight as well.
+        return settings
+    margin = max(_NOISES * noise, _LEAST_MARGIN)
     clearance = min(2.0 * margin, settings.tool_clearance)
     return replace(settings, tool_margin=margin, tool_clearance=clearance, noise=noise)
 
@@ -540,21 +552,25 @@ def _close_up(
     points = finite_points(xyz).astype(np.float64)
     if len(points) < settings.least_points:
         return None
+    lowest, highest = float(np.nanmin(tool_height.value)), float(np.nanmax(tool_height.value))
+    low = max(0.5 * lowest, LARGEST_OFFSET)
     if contact_point is not None:
         axis = np.array(contact_point[:2])
     else:
         # Returns that are lost, and single odd ones, move this less than they do the mean.
-        axis = np.quantile(points[:, :2], (0.02, 0.98), axis=0).mean(axis=0)
+        seen = points[points[:, 2] > low, :2]
+        if not len(seen):
+            return None
+        axis = np.quantile(seen, (0.02, 0.98), axis=0).mean(axis=0)
     offset = points[:, :2] - axis
     patch = np.hypot(*offset.T) < settings.patch_radius
     if np.count_nonzero(patch) < settings.least_points:
         return None
     z = points[:, 2]
     height = float(np.median(z[patch]))
-    lowest, highest = float(np.nanmin(tool_height.value)), float(np.nanmax(tool_height.value))
     if (
         not max(lowest, LARGEST_OFFSET) < height < highest
-        or np.mean(z < max(0.5 * lowest, LARGEST_OFFSET)) > _FEW_BELOW
+        or np.mean(z < low) > _FEW_BELOW
         or np.mean(z > height + LARGEST_OFFSET) > _FEW_ABOVE
     ):
         return None
@@ -602,7 +618,8 @@ def _set_up(
             point = plan_contact(levelled, ceiling=tool_height, settings=planning).contact_point
         except InputError:
             # The tool may be near, and out of sight.
-            point = plan_contact(levelled, settings=planning).contact_point
+            near = tool_height + 2.0 * planning.plane_tolerance
+            point = plan_contact(levelled, ceiling=near, settings=planning).contact_point
         axis = point[:2]
         warnings.append(
             'The contact point was taken where the vertical through the mass centre of the '

@@ -432,6 +432,34 @@ def test_a_patch_that_spreads_as_the_noise_has_no_tool_in_it():
     assert np.abs(signal.value[after] - 0.002).max() < 1.2 * 3e-4
 
 
+@pytest.mark.parametrize('before', [4, 20])
+@pytest.mark.parametrize('off', [2e-4, -2e-4])
+def test_a_tool_height_that_is_a_little_off_takes_no_dent_for_the_original_surface(before, off):
+    frames = [(0.1 * k, TOP + 0.01, 0.0) for k in range(before)]
+    frames += [(0.1 * (before + k), TOP - 0.0005 * k, 0.0005 * k) for k in range(13)]
+    frames += [(0.1 * (before + 13 + k), TOP + 0.01, 0.004) for k in range(20)]
+    clouds = [CloudFrame(t, close_up(dent, seed), 'c') for seed, (t, _, dent) in enumerate(frames)]
+    times, dents = np.array([t for t, _, _ in frames]), [dent for _, _, dent in frames]
+    tool = Signal(times, np.array([height + off for _, height, _ in frames]))
+    signal, _ = displacement_from_clouds(clouds, tool)
+    assert len(signal) > 0.9 * len(frames)
+    assert np.abs(signal.value - np.interp(signal.t, times, dents)).max() < 2.0 * FINE
+
+
+def test_an_arm_before_the_object_is_not_taken_for_it(clouds, tool_height):
+    """The object is hidden in the first frame, in which something stands above the tool."""
+    first = clouds[0].xyz.copy()
+    first[first[..., 2] > 0.004] = np.nan
+    arm = (np.abs(first[..., 0] - 0.02) < 0.03) & (np.abs(first[..., 1] + 0.04) < 0.02)
+    first[arm, 2] = 0.12
+    signal, warnings = displacement_from_clouds(
+        [CloudFrame(clouds[0].t, first, 'support_plane'), *clouds[1:]], tool_height
+    )
+    expected, told = displacement_from_clouds(clouds[1:], tool_height)
+    assert warnings == told
+    assert np.array_equal(signal.value, expected.value)
+
+
 def test_a_tool_in_a_close_up_hides_the_dent(tool_height):
     signal, _ = displacement_from_clouds(close_ups(opaque=True), tool_height)
     assert signal is None

@@ -1237,17 +1237,20 @@ def _as_exact(
     that matters to no force, they tell what is between these; a path through the samples does not.
     """
     samples, heights = np.frombuffer(t).copy(), np.frombuffer(value).copy()
-    # The samples themselves are the path where no shape follows them.
-    best, most = 0.0 if noise < _EXACT[0] * depth else noise, 0
+    exact = noise < _EXACT[0] * depth
+    # The samples themselves, or a curve through them, are the path where no shape follows them.
+    best, most = 0.0 if exact else noise, 0
     for part in _EXACT:
-        if part == _EXACT[-1] and best == 0.0 and _is_smooth(samples, heights, depth):
-            break
+        if part == _EXACT[-1] and exact and _is_smooth(samples, heights, depth):
+            return 0.0
         least = max(noise, part * depth)
         found = _closely(samples, heights, events, least, None, touch)
+        if found is None:
+            continue
         # A corner that is followed only roughly is none.
-        turns = [] if found is None else found[2]
-        lasting = [each for each in turns if each.bend.stop > each.bend.start]
-        count = len(turns if part == _EXACT[0] else lasting)
+        count = sum(part == _EXACT[0] or turn.bend.stop > turn.bend.start for turn in found[2])
+        if count == found[0].size - 2:
+            return least
         if count > most:
             best, most = least, count
     return best
