@@ -94,13 +94,12 @@ _FIRST_RECORDS: Final = 2
 """Records that the first look at the noise takes, about: it only has to come near."""
 _BLURS: Final = (0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """How well moments of jumps may be known, in samples."""
-_TOUCH: Final = 2.0 * math.sqrt(1.0 / 12.0)
+_TOUCH: Final = math.sqrt(1.0 / 12.0)
 """
 How well the moment of a touch is known at best, in samples.
 
 Whether a reading of the load cell is of a moment or a mean is not known, and each trial has a
-touch of its own to suit the one reading that it falls on. A touch anywhere within a sample makes
-this an error of 1 / sqrt(12) of the jump, of which the variance of a jump takes half a bend.
+touch of its own to suit the one reading that it falls on.
 """
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""

@@ -128,6 +128,9 @@ _QUICK: Final = 24.0
 intervals that this takes at most where it matters."""
 _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
+_MOST_STEPS: Final = 24
+_OFF_GRID: Final = 1e-4
+"""Steps of a grid within the smallest that is seen, and parts of one that a reading may be off."""
 _CURVED: Final = 0.5
 """Part of what straight lines leave of samples between others that a curve may leave of them."""
 _BETWEEN: Final = 8
@@ -1238,6 +1241,8 @@ def _as_exact(
     """
     samples, heights = np.frombuffer(t).copy(), np.frombuffer(value).copy()
     exact = noise < _EXACT[0] * depth
+    if exact and _on_a_grid(heights, depth):
+        return 0.0
     # The samples themselves, or a curve through them, are the path where no shape follows them.
     best, most = 0.0 if exact else noise, 0
     for part in _EXACT:
@@ -1774,6 +1779,22 @@ def _spread(off: FloatArray, alike: float, rounded: float) -> float:
         return noise
     usual = off[np.abs(off) < _LEFT_SIGMAS * noise]
     return float(np.sqrt(np.mean(usual**2))) / math.sqrt(alike)
+
+
+def _on_a_grid(value: FloatArray, depth: float) -> bool:
+    """
+    Return whether all steps from one reading to the next are multiples of one length.
+
+    A tool that goes by a whole number of steps of its encoders from one reading to the next is
+    rounded alike at each, and looks as if it were not rounded.
+    """
+    steps = np.abs(np.diff(value))
+    steps = steps[steps > _EXACT[0] * depth]
+    if not steps.size:
+        return False
+    parts = steps / steps.min() * np.arange(1.0, _MOST_STEPS + 1.0)[:, np.newaxis]
+    off = np.abs(parts - np.round(parts)).max(axis=1)
+    return bool(off.min() < _OFF_GRID)
 
 
 def _is_smooth(t: FloatArray, value: FloatArray, depth: float) -> bool:

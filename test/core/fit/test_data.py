@@ -176,12 +176,23 @@ def test_clean_encoders_tell_a_way_that_no_shape_follows(interval, most) -> None
     assert np.abs(speed - way).max() < most
 
 
+def test_encoders_that_round_all_readings_alike_are_not_clean() -> None:
+    """At 12 mm/s and 50 Hz a tool goes by 12 steps of 20 um from one reading to the next."""
+    t = np.arange(0.0, 8.0, 0.02)
+    way = np.interp(
+        t, [1.0, 1.511, 4.0, 4.6, 8.0], [0.0, 0.006132, 0.006132, -0.005868, -0.005868]
+    )
+    path = tool_path(Signal(t, np.round(way / 2e-5) * 2e-5), PHASES)
+    # Nothing tells when between two readings it stopped.
+    assert path.bends == ()
+
+
 def test_a_corner_between_clean_encoders_is_no_curve() -> None:
     t = np.arange(0.0, 14.5, 0.01)
-    bent = np.minimum(0.001 * (t - 1.0003), 0.0020003)
+    bent = np.minimum(0.001 * (t - 1.00037), 0.00200291)
     path = tool_path(Signal(t, bent), PHASES)
     near = np.arange(2.9, 3.1, 5e-4)
-    assert np.abs(path.at(near) - np.minimum(0.001 * (near - 1.0003), 0.0020003)).max() < 1e-9
+    assert np.abs(path.at(near) - np.minimum(0.001 * (near - 1.00037), 0.00200291)).max() < 1e-9
 
 
 def test_a_quick_withdrawal_between_slow_samples_does_not_bend_the_hold() -> None:
