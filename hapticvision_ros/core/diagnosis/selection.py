@@ -53,6 +53,8 @@ _THIRD: Final = 0.5
 """Part of what tells an effect from the leader that does so once so many are not told apart."""
 WEAKEST: Final = 0.07
 """Root mean square change of the prediction over the noise below which an effect is of no use."""
+_PUSHED: Final = 5.0
+"""Samples after the touch over which the speed of the push is taken."""
 _TURNS: Final = 5.0
 """What comes again does so at least this often in each trial."""
 _RESOLVED: Final = 3.5
@@ -290,6 +292,23 @@ def seldom(bench: Workbench, refit: Refit, effect: str) -> bool:
     shortest = min(float(trial.t[-1] - trial.t[0]) for trial in bench.trials)
     # A slow sine follows anything that is smooth.
     return period(_values(refit)) > shortest / _TURNS
+
+
+def within_a_sample(bench: Workbench, refit: Refit, effect: str) -> bool:
+    """
+    Return whether an offset of the touch is one that no touch is told from.
+
+    It is then less than the tool goes by within half a sample of the force, and whether such a
+    sample is of a moment or a mean is not known.
+    """
+    if without_law(effect) != 'contact_offset':
+        return False
+    ways = []
+    for trial in bench.trials:
+        later = trial.t_contact + np.array([0.0, _PUSHED]) * trial.interval
+        way = np.diff(np.interp(later, trial.t, trial.displacement))
+        ways.append(float(way[0]) / _PUSHED)
+    return abs(_values(refit)['delta_0']) < 0.5 * float(np.median(ways))
 
 
 def _values(refit: Refit) -> dict[str, float]:
@@ -787,6 +806,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> 
         if each.refit is not None
         and enough(each, each.refit)
         and not seldom(bench, each.refit, each.effect)
+        and not within_a_sample(bench, each.refit, each.effect)
     ]
     return [each for each in good if _beside(bench, each, refused) > GATE]
 
