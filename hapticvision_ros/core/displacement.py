@@ -59,6 +59,8 @@ _FEW_ABOVE: Final = 0.3
 _SPREAD: Final = 5.0
 """Standard deviations within which all heights of a patch without a tool are."""
 _NOISES: Final = 5.0
+_NOISIEST: Final = 0.5
+"""Part of the usual margin by which heights spread that are more than noisy."""
 _RISES: Final = 0.1
 """Part of the tool's way by which a close-up rises that is in another frame."""
 _LEAST_TOLD: Final = 8
@@ -511,22 +513,31 @@ def displacement_from_clouds(
     return found, tuple(warnings)
 
 
-def _by_noise(patch: FloatArray, settings: DisplacementSettings) -> DisplacementSettings:
+def _by_noise(
+    points: FloatArray, below: float, settings: DisplacementSettings
+) -> DisplacementSettings:
     """
-    Return settings that go as near to the tool as the noise of the heights in a patch allows.
+    Return settings that go as near to the tool as the noise of the heights allows.
 
-    A tool that stays within millimetres of the surface would leave none to be seen.
+    A tool that stays within millimetres of the surface would leave none to be seen. The noise is
+    that of points lower than `below` [m] in the patch around the axis, which are counted from, or
+    in a wider one where these are few.
     """
-    if len(patch) < _LEAST_TOLD:
+    away = np.hypot(*points[:, :2].T)
+    for radius in (settings.patch_radius, 2.0 * settings.patch_radius):
+        patch = points[(away < radius) & (points[:, 2] < below)]
+        if len(patch) >= _LEAST_TOLD:
+            break
+    else:
         return settings
     slopes = np.column_stack((np.ones(len(patch)), patch[:, :2]))
     residual = patch[:, 2] - slopes @ np.linalg.lstsq(slopes, patch[:, 2], rcond=None)[0]
     free = len(patch) / (len(patch) - slopes.shape[1])
     noise = NORMAL_FROM_MAD * float(np.median(np.abs(residual))) * np.sqrt(free)
-    if _NOISES * noise > settings.tool_margin:
+    if noise > _NOISIEST * settings.tool_margin:
         # That much may be a tool in sight as well.
         return settings
-    margin = max(_NOISES * noise, _LEAST_MARGIN)
+    margin = min(max(_NOISES * noise, _LEAST_MARGIN), settings.tool_margin)
     clearance = min(2.0 * margin, settings.tool_clearance)
     return replace(settings, tool_margin=margin, tool_clearance=clearance, noise=noise)
 
@@ -575,8 +586,7 @@ def _close_up(
     ):
         return None
     # A tool that is in sight is no surface.
-    surface = patch & (z < height + LARGEST_OFFSET)
-    near = _by_noise(np.column_stack((offset, z))[surface], settings)
+    near = _by_noise(np.column_stack((offset, z)), height + LARGEST_OFFSET, settings)
     warning = (
         'The clouds show no support plane: their z was taken as the height above it, since the '
         'tool came from above the surface that they show and went below it'
@@ -628,8 +638,7 @@ def _set_up(
         )
     points = finite_points(levelled).astype(np.float64)
     points[:, :2] -= axis
-    patch = points[np.hypot(*points[:, :2].T) < settings.patch_radius]
-    settings = _by_noise(patch[patch[:, 2] < tool_height], settings)
+    settings = _by_noise(points, tool_height, settings)
     tracker = DisplacementTracker(
         axis, settings, rotation=rotation, shift=shift, lowest_tool_height=lowest
     )
