@@ -50,7 +50,6 @@ from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_M
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 _FEWEST: Final = 16
 """A trial with fewer force samples is not fitted."""
@@ -1803,6 +1802,9 @@ def _is_smooth(t: FloatArray, value: FloatArray, depth: float) -> bool:
 
     Through all of them it is off by a sixteenth of that.
     """
+    # Loads much of scipy, which encoders with noise do without.
+    from scipy.interpolate import CubicSpline
+
     inner = slice(1, t.size - 1, 2)
     known_t, known = t[::2], value[::2]
     away = CubicSpline(known_t, known)(t[inner]) - value[inner]
@@ -1820,6 +1822,8 @@ def _curved(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     depth = float(value.max())
     if t.size < _FEWEST or not _is_smooth(t, value, depth):
         return t, value
+    from scipy.interpolate import CubicSpline
+
     spline = CubicSpline(t, value)
     middle = 0.5 * (t[1:] + t[:-1])
     away = np.abs(spline(middle) - 0.5 * (value[1:] + value[:-1]))
