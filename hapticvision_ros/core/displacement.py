@@ -350,7 +350,10 @@ class DisplacementTracker:
     def _under_tool(self, patch: FloatArray, seen: float) -> float | None:
         """Return H below a tool that these clouds do not show; None if they may show it."""
         original = self.original_height
-        if original is None or patch.size / seen < _WHOLE * float(np.median(self._counts)):
+        # Only of a record is it looked at how noisy heights are, and no tool is sent by it.
+        if not self._settings.noise or original is None:
+            return None
+        if patch.size / seen < _WHOLE * float(np.median(self._counts)):
             return None
         # A tool is held from above: with it in the picture something is higher than the surface.
         if patch.max() > original + self._settings.tool_margin:
