@@ -56,17 +56,16 @@ _WHOLE: Final = 0.9
 _FEW_BELOW: Final = 0.1
 _FEW_ABOVE: Final = 0.3
 """Shares of a close-up that may lie far below and above the surface at the contact point."""
-_SPREAD: Final = 5.0
-"""Standard deviations within which all heights of a patch without a tool are."""
 _NOISES: Final = 5.0
+"""Standard deviations within which the heights of a surface are of its own."""
+_LEAST_MARGIN: Final = 5e-5
+"""How near to its tip may be the tool at least, whatever the noise [m]."""
 _NOISIEST: Final = 0.5
 """Part of the usual margin by which heights spread that are more than noisy."""
 _RISES: Final = 0.1
 """Part of the tool's way by which a close-up rises that is in another frame."""
 _LEAST_TOLD: Final = 8
 """Fewest heights that tell their own noise."""
-_LEAST_MARGIN: Final = 5e-5
-"""In standard deviations of the heights, and in metres: how near to its tip may be the tool."""
 
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
@@ -221,9 +220,10 @@ class DisplacementTracker:
         patch = np.empty(0) if seen is None else self._patch(xyz)
         surface = _middle(patch[patch < tool_height - settings.tool_margin])
         clearance = settings.tool_clearance
-        if self._is_bare(patch) and np.median(patch) < tool_height + settings.tool_margin:
-            surface = float(np.median(patch)), int(patch.size)
-            clearance = _SPREAD * settings.noise / np.sqrt(patch.size)
+        bare = self._bare(patch, tool_height)
+        if bare is not None:
+            surface = bare, int(patch.size)
+            clearance = _NOISES * settings.noise / np.sqrt(patch.size)
         height, count = surface if surface is not None else (None, 0)
         original = self.original_height
         level = height if height is not None else original
@@ -340,12 +340,16 @@ class DisplacementTracker:
             heights: FloatArray = patch[:, 2] - self._level_at(patch)
         return heights
 
-    def _is_bare(self, patch: FloatArray) -> bool:
-        """Return whether the heights of a patch are those of one surface, but for their noise."""
+    def _bare(self, patch: FloatArray, tool_height: float) -> float | None:
+        """Return the height of a patch that is one surface but for its noise; None if not."""
         settings = self._settings
-        if patch.size < settings.least_points:
-            return False
-        return bool(np.ptp(patch) < 2.0 * _SPREAD * settings.noise)
+        if not settings.noise or patch.size < settings.least_points:
+            return None
+        if np.ptp(patch) >= 2.0 * _NOISES * settings.noise:
+            return None
+        height = float(np.median(patch))
+        # What is above the tip may be the upper end of the tool.
+        return height if height < tool_height + settings.tool_margin else None
 
     def _under_tool(self, patch: FloatArray, seen: float) -> float | None:
         """Return H below a tool that these clouds do not show; None if they may show it."""

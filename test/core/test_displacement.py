@@ -15,6 +15,7 @@
 """The displacement height H from clouds that the tests make."""
 
 from hapticvision_ros.core.displacement import (
+    _by_noise,
     displacement_from_clouds,
     DisplacementSettings,
     DisplacementTracker,
@@ -494,3 +495,67 @@ def test_clouds_without_the_tool_show_the_dent_all_the_time(tool_height):
     # Deeper down, the rim hides part of the floor.
     assert np.any((signal.t > 2.5) & (signal.t < 3.4))
     assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+
+
+def test_a_driver_takes_no_dent_below_the_tool():
+    """Only of a record is the noise looked at: what a robot goes by stays as it was."""
+    tracker = DisplacementTracker(AXIS)
+    for seed in range(5):
+        assert tracker.update(view(0.0, 1.0, seed), 0.075) is not None or seed < 2
+    assert tracker.update(view(0.003, 1.0, 5), TOP - 0.003) is None
+    assert tracker.reason == 'the tool is down'
+
+
+def test_a_part_of_the_patch_that_is_missing_may_be_the_tool():
+    """A tool that gives no returns leaves the rim of the patch, which is no dent."""
+    clouds, heights = near_by()
+    pressed = heights.value < TOP
+    for frame in (frame for frame, down in zip(clouds, pressed, strict=True) if down):
+        radius = np.hypot(frame.xyz[..., 0] - AXIS[0], frame.xyz[..., 1] - AXIS[1])
+        frame.xyz[radius < 0.003] = np.nan
+    signal, _ = displacement_from_clouds(clouds, heights)
+    assert not np.any((signal.t > 1.05) & (signal.t < 1.75))
+    assert np.count_nonzero(signal.t > 1.95) == 20
+
+
+def test_the_upper_end_of_a_flat_tool_is_no_surface_that_was_pushed():
+    clouds, heights = near_by()
+    for frame in clouds[1:3]:
+        frame.xyz[..., 2] = TOP + 0.02
+    signal, _ = displacement_from_clouds(clouds, heights)
+    assert np.abs(signal.value[signal.t > 1.95] - 0.002).max() < 2.0 * FINE
+
+
+def test_a_wider_patch_tells_the_noise_of_few_points():
+    """Of points 4 mm apart there are four in the patch."""
+    clouds, heights = near_by(noise=1e-4)
+    sparse = [CloudFrame(frame.t, frame.xyz[::2, ::2], 'c') for frame in clouds]
+    signal, _ = displacement_from_clouds(sparse, heights)
+    after = signal.t > 1.95
+    assert np.count_nonzero(after) >= 10
+    assert np.abs(signal.value[after] - 0.002).max() < 3.0 * 1e-4
+
+
+def test_a_sensor_that_drifts_is_in_no_other_frame():
+    """The object is as it was after the push, and the sensor has risen by half a millimetre."""
+    frames = [(0.1 * k, TOP + 0.02, 0.0) for k in range(10)]
+    frames += [(1.0 + 0.1 * k, TOP - 0.0005 * k, 0.0005 * k) for k in range(9)]
+    frames += [(2.0 + 0.1 * k, TOP + 0.02, 0.0) for k in range(20)]
+    drift = np.float32([0.0, 0.0, 1.25e-4])
+    clouds = [
+        CloudFrame(t, close_up(dent, seed) + drift * np.float32(t), 'c')
+        for seed, (t, _, dent) in enumerate(frames)
+    ]
+    tool = Signal(np.array([t for t, _, _ in frames]), np.array([z for _, z, _ in frames]))
+    signal, _ = displacement_from_clouds(clouds, tool)
+    assert signal.value[-1] == pytest.approx(-4.3e-4, abs=5e-5)
+
+
+def test_the_edge_of_an_object_is_no_noise():
+    """A patch of which half is on the plate says nothing of how noisy heights are."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-4, 5) * 0.001] * 2))
+    heights = np.where(x > 0.0, TOP, 0.0) + FINE * np.random.default_rng(1).standard_normal(81)
+    points, settings = np.column_stack((x, y, heights)), DisplacementSettings()
+    assert _by_noise(points, 0.1, settings) is settings
+    told = _by_noise(points[x > 0.0], 0.1, settings)
+    assert told.noise == pytest.approx(FINE, rel=0.3)
