@@ -284,14 +284,14 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 
 
 PLAN = (
-    '--world random --none 400 --first 55000',
-    '--world random --scatter 0.02 --none 400 --first 38000',
-    '--world grid --seeds 2 --first 380 --r 0.3 1 0.1 0.07 0.05',
-    '--world grid --scatter 0.02 --seeds 2 --first 680 --r 0.3 1',
-    '--world grid --pairs 20 --seeds 2 --first 580 --r 0.3',
-    '--world grid --outside --seeds 2 --first 180 --r 1',
-    '--world grid --clouds --seeds 1 --first 780 --r 1',
-    '--world grid --laws --seeds 1 --first 880 --r 0.3 1 3',
+    '--world random --none 400 --first 57000',
+    '--world random --scatter 0.02 --none 400 --first 39500',
+    '--world grid --seeds 2 --first 390 --r 0.3 1 0.1 0.07 0.05',
+    '--world grid --scatter 0.02 --seeds 2 --first 690 --r 0.3 1',
+    '--world grid --pairs 20 --seeds 2 --first 590 --r 0.3',
+    '--world grid --outside --seeds 2 --first 190 --r 1',
+    '--world grid --clouds --seeds 1 --first 790 --r 1',
+    '--world grid --laws --seeds 1 --first 890 --r 0.3 1 3',
 )
 """What the page is made of."""
 

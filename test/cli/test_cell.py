@@ -23,9 +23,12 @@ import subprocess
 import sys
 import time
 
+from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.cli.cell import NODES
 from hapticvision_ros.cli.configuration import write_config
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.core.records import Signal
+import numpy as np
 import pytest
 import yaml
 
@@ -33,6 +36,10 @@ CONFIG = Path(__file__).resolve().parents[2] / 'config'
 HAPTICVISION = str(Path(sys.executable).with_name('hapticvision'))
 DEADLINE = 90.0
 """Eight processes start and stop on a machine that may have two processors [s]."""
+STEADY = 0.05
+"""Longest time without a height of the tool, of 0.01 s, while nothing stands still [s]."""
+ATTEMPTS = 4
+"""How often a trial is recorded until nothing stood still in it."""
 
 
 @pytest.fixture
@@ -125,6 +132,36 @@ def test_a_cell_that_is_killed_leaves_no_process(domain):
     assert code == -signal.SIGKILL
 
 
+def steadily_recorded(run: list[str], environment: dict, folder: Path) -> tuple[Path, Signal]:
+    """
+    Record one trial in which the arm was heard all the time; return its bag and the tool's way.
+
+    On a machine with other work the arm's controller stands still now and then, so that the arm is
+    stopped late and nobody knows how: what is fitted to such a bag is warned of, and is off.
+    """
+    seen = []
+    for attempt in range(ATTEMPTS):
+        bags = folder / f'bags_{attempt}'
+        done = subprocess.run(
+            [*run, '--out', str(bags)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE,
+            check=False,
+        )
+        if done.returncode:
+            assert 'stale' in done.stdout, done.stdout + done.stderr
+            seen.append('an aborted push')
+            continue
+        (bag,) = bags.iterdir()
+        heights = read_trial(bag).tool_height
+        seen.append(f'{np.diff(heights.t).max():.3f} s without a height')
+        if np.diff(heights.t).max() < STEADY:
+            return bag, heights
+    pytest.fail(f'the machine is too busy for a cell: {", ".join(seen)}')
+
+
 def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, tmp_path):
     # The world's body is explicit and in a process of its own; what is fitted and simulated has
     # the bag that the cell recorded, and the size of the block.
@@ -155,15 +192,9 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
         text = yaml.safe_dump({'/**': {'ros__parameters': parameters}})
         (config / f'{node}.yaml').write_text(text)
     environment = os.environ | {'ROS_DOMAIN_ID': str(domain), 'OMP_NUM_THREADS': '1'}
-    bags = tmp_path / 'bags'
     run = [HAPTICVISION, 'cell', '--run', '--config', str(config), '--object', 'rubber']
     run += ['--speeds', '0.005', '--depths', '0.003', '--hold-time', '4', '--recover-time', '3']
-    run += ['--out', str(bags)]
-    done = subprocess.run(
-        run, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    (bag,) = bags.iterdir()
+    bag, heights = steadily_recorded(run, environment, tmp_path)
     fit = ['fit', str(bag), '--model', 'three-element', '--out', str(tmp_path / 'fit')]
     assert main(fit) == 0
     result = tmp_path / 'fit' / 'result.json'
@@ -180,7 +211,10 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     assert told['contact']['source'] == 'tool'
     residual, bouncing, bulge = (told[f'{name}_m'] for name in ('residual', 'bouncing', 'bulge'))
     assert 0.0015 < residual['measured'] < 0.0027
-    assert residual['measured'] + bouncing['measured'] == pytest.approx(0.003, abs=1e-4)
+    # The controller stops the arm at the first height below the depth: that is late by a step.
+    deepest = 0.02 - heights.value.min()
+    assert 0.003 <= deepest + 1e-5 < 0.003 + 0.005 * STEADY
+    assert residual['measured'] + bouncing['measured'] == pytest.approx(deepest, abs=5e-5)
     assert residual['simulated'] == pytest.approx(residual['measured'], abs=1.5e-4)
     assert bouncing['simulated'] == pytest.approx(bouncing['measured'], abs=1.5e-4)
     assert bulge['measured'] > 1e-4, 'of ten standard errors'
