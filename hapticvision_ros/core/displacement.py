@@ -33,7 +33,14 @@ from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.planning import plan_contact
 from hapticvision_ros.core.records import CloudFrame, FloatArray, PointArray, Signal
-from hapticvision_ros.core.scene.plane import finite_points, fit_support_plane, LARGEST_OFFSET
+from hapticvision_ros.core.scene.plane import (
+    finite_points,
+    fit_support_plane,
+    LARGEST_OFFSET,
+    still_supports,
+    SupportPlane,
+    VERTICAL,
+)
 from hapticvision_ros.core.scene.settings import DEFAULT_PLANNING
 import numpy as np
 from numpy.typing import NDArray
@@ -468,6 +475,7 @@ def displacement_from_clouds(
     refusal = 'there is no cloud within the record of the tool height'
     used = 0
     near: DisplacementSettings | None = None
+    plane: SupportPlane | None = None
     for frame in frames:
         if not first <= frame.t <= last or (times and frame.t <= times[-1]):
             continue
@@ -483,7 +491,12 @@ def displacement_from_clouds(
                     axis, near, warnings = close_up
                     tracker = DisplacementTracker(axis, near, lowest_tool_height=lowest)
                 else:
-                    tracker, warnings = _set_up(frame.xyz, tool, lowest, contact_point, settings)
+                    points = finite_points(frame.xyz)
+                    if plane is None or not still_supports(plane, points):
+                        plane = fit_support_plane(points)
+                    tracker, warnings = _set_up(
+                        frame.xyz, tool, lowest, contact_point, plane, settings
+                    )
             except InputError as error:
                 text = str(error).rstrip('.')
                 refusal = text[:1].lower() + text[1:]
@@ -611,11 +624,11 @@ def _set_up(
     tool_height: float,
     lowest: float,
     contact_point: tuple[float, float, float] | None,
+    plane: SupportPlane,
     settings: DisplacementSettings,
 ) -> tuple[DisplacementTracker, list[str]]:
     """Return a tracker for the clouds that begin with `xyz`, and what had to be assumed."""
     warnings: list[str] = []
-    plane = fit_support_plane(finite_points(xyz))
     rotation = shift = None
     levelled = xyz
     if plane.tilt > LARGEST_TILT or abs(plane.offset) > LARGEST_OFFSET:
@@ -627,17 +640,18 @@ def _set_up(
             f'{np.rad2deg(plane.tilt):.3g} deg, {plane.offset * 1e3:.3g} mm from the origin): '
             'they were brought into the frame of that plane.'
         )
+        plane = replace(plane, normal=VERTICAL, offset=0.0)
     if contact_point is not None and rotation is None:
         axis = contact_point[:2]
     else:
         planning = replace(DEFAULT_PLANNING, least_patch_points=settings.least_points)
         try:
-            point = plan_contact(levelled, ceiling=tool_height, settings=planning).contact_point
+            plan = plan_contact(levelled, ceiling=tool_height, plane=plane, settings=planning)
         except InputError:
             # The tool may be near, and out of sight.
             near = tool_height + 2.0 * planning.plane_tolerance
-            point = plan_contact(levelled, ceiling=near, settings=planning).contact_point
-        axis = point[:2]
+            plan = plan_contact(levelled, ceiling=near, plane=plane, settings=planning)
+        axis = plan.contact_point[:2]
         warnings.append(
             'The contact point was taken where the vertical through the mass centre of the '
             f'top view meets the surface: x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm '

@@ -96,6 +96,7 @@ def plan_contact(
     xyz: PointArray,
     *,
     ceiling: float | None = None,
+    plane: SupportPlane | None = None,
     settings: PlanningSettings = DEFAULT_PLANNING,
 ) -> ContactPlan:
     """
@@ -111,6 +112,8 @@ def plan_contact(
     ceiling : float, optional
         Height of the tool tip above the support plane [m]: before the push, nothing that is as
         high belongs to the object.
+    plane : SupportPlane, optional
+        Where it is known already.
     settings : PlanningSettings
         What counts as plane, object and contact point.
 
@@ -132,7 +135,8 @@ def plan_contact(
     """
     returns = np.isfinite(xyz).all(axis=-1)
     points = xyz[returns]
-    plane = fit_support_plane(points, settings)
+    if plane is None:
+        plane = fit_support_plane(points, settings)
     rotation, shift = plane.to_plane_frame()
     levelled = points @ rotation.T.astype(np.float32) + shift.astype(np.float32)
     on_object = levelled[:, 2] > settings.object_clearance

@@ -182,6 +182,42 @@ def fit_support_plane(
     return SupportPlane((x, y, z), offset, share, noise)
 
 
+def still_supports(
+    plane: SupportPlane,
+    points: PointArray | FloatArray,
+    settings: PlanningSettings = DEFAULT_PLANNING,
+) -> bool:
+    """
+    Return whether a plane of an earlier cloud supports this scene as well.
+
+    Parameters
+    ----------
+    plane : SupportPlane
+        The earlier cloud's.
+    points : ndarray, shape (n, 3)
+        Finite points of this one [m].
+    settings : PlanningSettings
+        Tolerance and least share.
+
+    Returns
+    -------
+    bool
+        Whether as many points lie in it as a plane needs, about as near to it as before, and
+        none below it.
+
+    """
+    if not len(points):
+        return False
+    height = points @ np.array(plane.normal) - plane.offset
+    inlier = np.abs(height) < settings.plane_tolerance
+    if np.mean(inlier) < max(settings.least_plane_share, 0.5 * plane.share):
+        return False
+    # A sensor that was knocked sees the plane beside where it was.
+    off = abs(float(np.median(height[inlier])))
+    below = float(np.mean(height < -LARGEST_OFFSET))
+    return off < 0.1 * settings.plane_tolerance and below < _LARGEST_SHARE_BELOW
+
+
 def _is_levelled(points: FloatArray, settings: PlanningSettings) -> bool:
     """Return whether the plane z = 0 supports the scene, as in the contract's frame."""
     z = points[:, 2]
