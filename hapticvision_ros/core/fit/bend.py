@@ -28,12 +28,13 @@ K. Ogata, Modern Control Engineering, 5th ed. 2010, ch. 5.3 (response of second-
 
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import math
 from typing import Final, NamedTuple
 
+from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
@@ -45,6 +46,8 @@ ROUNDED: Final = 1.001
 """Slack of what rounding accounts for, over half a step of the encoders."""
 RESTS: Final = 17
 """Places within a step of the encoders at which a tool may rest."""
+SHOWN: Final = 12.0
+"""Drop of the squares over the noise from which on a change of speed takes time."""
 _SOFT: Final = 1e-3
 """Part of an acceleration over which it comes and goes, below which it does so at once."""
 _FEWEST: Final = 2
@@ -68,12 +71,28 @@ _LARGE: Final = 0.5
 """Part of the largest change of speed from which on others tell as well how an arm swings."""
 _LEAST: Final = 0.01
 """Part of its usual duration that an acceleration lasts at least where a search begins."""
-_WILDEST: Final = 12.0
+WILDEST: Final = 12.0
 """Swing at most: a damping ratio of 0.14 [-]."""
+_LIKE: Final = 0.02
+"""Spread of the parts of its speed by which a tool changes it, below which they are alike."""
+_PROBE: Final = 1e-6
+"""Steps by which derivatives of shapes are told."""
+_CLEAN: Final = 1e-4
+"""Noise of clean encoders over the way that a change of speed makes about it."""
+_CLEANER: Final = 4
+"""Rounds in which those that are made otherwise are left out."""
+_TELLING: Final = 1e-3
+"""Part of what is left, or of one, below which a drop of the squares tells nothing more."""
+_POLISHED: Final = 30
+"""Looks at clean changes of speed at most."""
 _RESTING: Final = 0.1
 """Speed after a stop, over that before, below which it is one."""
 _LONGEST: Final = 3.0
 """How long a change of speed may take, over the longest that was found for one."""
+
+
+_BOUNDS: Final = np.array([_LONGEST, 10.0, 1.0, WILDEST])
+"""Greatest numbers of a servo, as a search takes it."""
 
 
 class Shape(NamedTuple):
@@ -288,6 +307,11 @@ class Corner(NamedTuple):
         return self.next_slope - self.slope
 
     @property
+    def share(self) -> float:
+        """Return the change of speed over the higher speed: 1 for a stop, 2 for a turn [-]."""
+        return abs(self.turn) / max(abs(self.slope), abs(self.next_slope))
+
+    @property
     def is_stop(self) -> bool:
         """Return whether the tool comes to rest."""
         return abs(self.next_slope) < _RESTING * abs(self.slope)
@@ -331,6 +355,22 @@ class Corner(NamedTuple):
         rest = self.rest, self.coarse, shifts
         _squares(self.t, self.value, lines, *rest, lasts, soft, lag, swing, squares)
         return squares
+
+    @property
+    def is_clean(self) -> bool:
+        """Return whether the encoders neither round nor have noise that matters here."""
+        way = abs(self.turn) * float(self.t[-1] - self.t[0])
+        return self.rest < 0 and self.coarse == 0.0 and self.noise < _CLEAN * way
+
+    def beside(self, shape: Shape) -> FloatArray:
+        """Return what a shape leaves of each sample over the noise; shape (n,) [-]."""
+        meeting = self.meeting(0.0)[0]
+        before = self.t < meeting
+        line = np.where(
+            before, self.level + self.slope * self.t, self.next_level + self.next_slope * self.t
+        )
+        left = self.value - line - self.turn * rounded(self.t - meeting, shape)
+        return np.asarray(left / self.noise)
 
     def left(self, shape: Shape, shift: float) -> float:
         """Return what one shape leaves of the samples with a rest at a shift [m^2]."""
@@ -418,6 +458,10 @@ class Servo:
         How it makes the others then, if these are alike.
     swing : float
         How it swings [-].
+    scaled : bool
+        Whether `duration` is that of a stop, and in proportion for parts of the speed and for its
+        reversal, as of an arm whose acceleration is scaled with its speed; `jerk` is over that of
+        a stop then.
 
     """
 
@@ -429,6 +473,7 @@ class Servo:
     stops: bool = False
     others: 'Servo | None' = None
     swing: float = 0.0
+    scaled: bool = False
 
     def of(self, corner: Corner) -> 'Servo | None':
         """Return what makes a change of speed; None where it is not one of those made alike."""
@@ -470,12 +515,63 @@ class Servo:
     def _softest(self) -> float:
         return self.lasts if self.even else 1.0
 
-    def shape(self, turn: float) -> Shape:
-        """Return how a change of speed [m/s] goes."""
+    def shape(self, turn: float, share: float = 1.0) -> Shape:
+        """Return how a change of speed [m/s] goes, of a part `share` of the speed."""
+        if self.scaled:
+            duration = max(self.duration * share, 1e-9)
+            jerk = self.jerk * self.duration
+            return Shape(max(duration, jerk), min(duration, jerk), self.lag, self.swing)
         if not self.even:
             return Shape(self.duration, self.jerk * self.duration, self.lag, self.swing)
         duration = max(self.duration * abs(turn), 1e-9)
         return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag, self.swing)
+
+
+def polished(
+    corners: Sequence[Corner],
+    shape: Callable[[FloatArray, Corner], Shape],
+    start: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """
+    Return how changes of speed go that clean encoders tell, by least squares.
+
+    What they tell is a valley too narrow for a search that compares sums of squares.
+
+    Parameters
+    ----------
+    corners : sequence of Corner
+        All of encoders that neither round nor read a rest alike.
+    shape : callable
+        How each goes by the numbers that are looked for.
+    start : ndarray, shape (k,)
+        Numbers near the best, of the order of one.
+    bounds : (ndarray, ndarray)
+        Least and greatest ones, shapes (k,).
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        The best numbers near by.
+
+    """
+
+    def left(x: FloatArray) -> FloatArray:
+        # What is left of clean samples is small beside the one that stands at the end.
+        return np.concatenate([*(corner.beside(shape(x, corner)) for corner in corners), [1.0]])
+
+    def evaluate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        here = left(x)
+        jacobian = np.empty((here.size, x.size))
+        for k in range(x.size):
+            # Away from a bound, beyond which nothing changes.
+            step = _PROBE if x[k] + _PROBE <= bounds[1][k] else -_PROBE
+            moved = x.copy()
+            moved[k] += step
+            jacobian[:, k] = (left(moved) - here) / step
+        return here, jacobian
+
+    return minimise(evaluate, start, bounds, tolerance=_TELLING, max_evaluations=_POLISHED).theta
 
 
 def told(corners: Sequence[Corner], servo: Servo) -> float:
@@ -483,7 +579,7 @@ def told(corners: Sequence[Corner], servo: Servo) -> float:
     total = 0.0
     for corner in corners:
         mine = servo.of(corner)
-        total += 0.0 if mine is None else corner.deviance(mine.shape(corner.turn))
+        total += 0.0 if mine is None else corner.deviance(mine.shape(corner.turn, corner.share))
     return total
 
 
@@ -502,10 +598,22 @@ def is_apart(corner: Corner, alone: float, servo: Servo) -> bool:
 
     """
     mine = servo.of(corner)
-    return mine is not None and corner.deviance(mine.shape(corner.turn)) > alone + _APART
+    return (
+        mine is not None
+        and corner.deviance(mine.shape(corner.turn, corner.share)) > alone + _APART
+    )
 
 
-def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
+class _Kind(NamedTuple):
+    """What a search for a servo goes by: how long it lasts as usual, and the scale of its lag."""
+
+    even: bool
+    usual: float
+    scale: float
+    scaled: bool = False
+
+
+def _servo(x: FloatArray, kind: _Kind) -> Servo:
     """
     Return the servo of a search.
 
@@ -514,24 +622,25 @@ def _servo(x: FloatArray, even: bool, usual: float, scale: float) -> Servo:
     lag = max(float(x[1]), 0.0) if x.size > 1 else 0.0
     jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
     return Servo(
-        usual * math.exp(float(x[0])),
-        jerk * scale if even else jerk,
-        lag * scale,
-        even,
-        scale,
-        swing=min(max(float(x[3]), 0.0), _WILDEST) if x.size > 3 else 0.0,
+        kind.usual * math.exp(float(x[0])),
+        jerk * kind.scale if kind.even else jerk,
+        lag * kind.scale,
+        kind.even,
+        kind.scale,
+        swing=min(max(float(x[3]), 0.0), WILDEST) if x.size > 3 else 0.0,
+        scaled=kind.scaled,
     )
 
 
 def _left(
     corners: Sequence[tuple[Corner, float]],
-    kind: tuple[bool, float, float],
+    kind: _Kind,
     longest: float,
     x: FloatArray,
 ) -> float:
     """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
-    servo = _servo(x, *kind)
-    shapes = [servo.shape(corner.turn) for corner, _ in corners]
+    servo = _servo(x, kind)
+    shapes = [servo.shape(corner.turn, corner.share) for corner, _ in corners]
     if np.any(x[1:] < 0.0) or max(sum(shape[:3]) for shape in shapes) > longest:
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
@@ -575,7 +684,16 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
             cost, stopped, others = left + 4 * worth, first, second
     if stopped is None or (whole[1] is not None and whole[0] <= cost):
         return whole[1]
+    if not _is_shown(kinds[0][0], stopped):
+        return None
     return replace(stopped, stops=True, others=others)
+
+
+def _is_shown(corners: Sequence[Corner], servo: Servo) -> bool:
+    """Return whether changes of speed show that they take time."""
+    at_once = [corner.deviance(Shape(0.0)) - told([corner], servo) for corner in corners]
+    # One that is apart from the others tells nothing of these.
+    return sum(max(each, -_APART) for each in at_once) > SHOWN
 
 
 def _kindred(
@@ -591,7 +709,7 @@ def _kindred(
 
     def servos(x: FloatArray) -> tuple[Servo, Servo]:
         first, second = (
-            _servo(np.array([size, *x[2:]]), even=False, usual=max(each, 1e-6), scale=scale)
+            _servo(np.array([size, *x[2:]]), _Kind(False, max(each, 1e-6), scale))
             for size, each in zip(x[:2], usual, strict=True)
         )
         return first, second
@@ -635,17 +753,29 @@ def _alike(
     lasts = np.array([shape.duration for shape in shapes])
     turns = np.abs([corner.turn for corner in corners])
     longest = _LONGEST * float((lasts + np.array([shape.lag for shape in shapes])).max())
-    lag = float(np.median([shape.lag for shape in shapes]))
-    found: list[tuple[float, float, FloatArray, tuple[bool, float, float]]] = []
-    for even in (False, True):
-        usual = float(np.median(lasts / turns if even else lasts))
-        scale = usual * float(np.median(turns)) if even else usual
+    lag, soft = (float(np.median([each[of] for each in shapes])) for of in (2, 1))
+    soft = min(soft / max(float(np.median(lasts)), 1e-9), 1.0)
+    clean = all(corner.is_clean for corner in corners)
+    found: list[tuple[float, float, FloatArray, _Kind]] = []
+    shares = np.array([corner.share for corner in corners])
+    kinds = {'even': turns, 'alike': np.ones(turns.size)}
+    if np.ptp(shares) > _LIKE:
+        kinds['scaled'] = shares
+    for name, sizes in kinds.items():
+        usual = float(np.median(lasts / sizes))
+        scale = usual * float(np.median(sizes))
         if usual <= 0.0:
             continue
-        kind = even, usual, scale
+        kind = _Kind(name == 'even', usual, scale, name == 'scaled')
         cost = partial(_left, each, kind, longest)
         starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
-        swinging = _swinging(shapes, turns, usual, even=even)
+        swinging = _swinging(shapes, turns, usual, sizes)
+        if clean:
+            for start in (np.array([0.0, lag / scale, soft]), *swinging):
+                best = _clean(each, kind, start)
+                left = cost(best)
+                found.append((left + start.size * worth, left, best, kind))
+            continue
         begun = [(cost, start) for start in swinging]
         # Beside a start that is far off all are apart, and no way leads to where they are alike.
         at_all = partial(_left, [(corner, math.inf) for corner in corners], kind, longest)
@@ -664,14 +794,38 @@ def _alike(
         if left - closer < 1.0:
             break
         worst, left, best = worst - left + closer, closer, point
-    return (alone, None) if worst > alone else (worst, _servo(best, *kind))
+    return (alone, None) if worst > alone else (worst, _servo(best, kind))
+
+
+def _clean(each: Sequence[tuple[Corner, float]], kind: _Kind, start: FloatArray) -> FloatArray:
+    """Return how an arm makes most changes of speed that clean encoders tell, as `_servo` does."""
+    bounds = np.array([-_LONGEST, 0.0, 0.0, 0.0])[: start.size], _BOUNDS[: start.size]
+
+    def shape(x: FloatArray, corner: Corner) -> Shape:
+        return _servo(x, kind).shape(corner.turn, corner.share)
+
+    best = np.clip(start, *bounds)
+    corners = [corner for corner, _ in each]
+    for _ in range(_CLEANER):
+        best = polished(corners, shape, best, bounds)
+        # Some may be made otherwise, and draw all others with them.
+        worse = [corner.deviance(shape(best, corner)) - own for corner, own in each]
+        usual = float(np.median(worse))
+        nearest = [c for (c, _), w in zip(each, worse, strict=True) if w <= max(usual, _APART)]
+        if len(nearest) == len(corners):
+            break
+        corners = nearest
+    return best
 
 
 def _swinging(
-    shapes: Sequence[Shape], turns: FloatArray, usual: float, *, even: bool
+    shapes: Sequence[Shape], turns: FloatArray, usual: float, sizes: FloatArray
 ) -> list[FloatArray]:
-    """Return where to begin to look for a servo that swings, as `_servo` takes it."""
-    sizes = turns if even else np.ones(turns.size)
+    """
+    Return where to begin to look for a servo that swings, as `_servo` takes it.
+
+    How long a change of speed lasts is in proportion to its size.
+    """
     scale = usual * float(np.median(sizes))
     seen = [k for k, shape in enumerate(shapes) if shape.swing > 0.0]
     if seen:

@@ -35,11 +35,14 @@ from hapticvision_ros.core.fit.bend import (
     Bend,
     Corner,
     is_apart,
+    polished,
     ROUNDED,
     Servo,
     servo_of,
     Shape,
+    SHOWN,
     SWINGS,
+    WILDEST,
 )
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
@@ -79,6 +82,18 @@ _LONE_STEPS: Final = 12.0
 """Standard deviations of rounding beyond its neighbours from which on a force may be alone."""
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
+_SHORTEST_WAY: Final = 5
+"""Samples over which a tool goes there and back, which a glitch does at once."""
+_IN_AIR: Final = 5.0
+_IN_CONTACT: Final = 10.0
+_CLEAR_TOUCH: Final = 60.0
+"""Force over its noise below and above which it is none and one, and which tells a touch well."""
+_PARTLY: Final = 0.1
+"""Part of the force of a touch that a reading in which the tool touches lacks."""
+_WHOLE: Final = (0.9 / 0.2, 0.1 / 0.8)
+"""How much more likely readings of a moment are whole than means are, and are not."""
+_CERTAIN: Final = 4.5
+"""Logarithm of how much more likely all of them are, from which on they are of a moment."""
 _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
 _WINDOW: Final = 512
@@ -93,6 +108,10 @@ _SHORTEST: Final = 4
 """Fewer samples between two that the path goes through have no line of their own."""
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
+"""Pieces of a path at most, for each time that the tool goes there and back."""
+_WAY: Final = 0.05
+_FEW_LOOKS: Final = 2048
+"""Part of a tool's whole way from which on it goes there and back, as so many samples tell."""
 _CORNER_SAMPLES: Final = 64
 """Corners that are so many samples of the encoders apart may be one change of speed."""
 _APART: Final = 16
@@ -127,6 +146,11 @@ _QUICK: Final = 24.0
 intervals that this takes at most where it matters."""
 _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
+_FEWEST_ON_LINE: Final = 3
+"""Samples that tell a straight piece."""
+_ON_LINES: Final = 0.1
+"""Part of the samples of a tool that moves which are exactly on a line, from which on none of
+what the others are beside one is noise."""
 _MOST_STEPS: Final = 24
 _OFF_GRID: Final = 1e-4
 """Steps of a grid within the smallest that is seen, and parts of one that a reading may be off."""
@@ -155,8 +179,6 @@ _FORM: Final = 1e-4
 """What its form may be off by otherwise, over the way in it."""
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
-_SHOWN: Final = 12.0
-"""Drop of the squares over the noise from which on a change of speed takes time."""
 _DURATIONS: Final = 17
 _SOFT: Final = (0.0, 0.5, 1.0)
 """Parts of how long an acceleration lasts, over which it comes and goes, that are tried."""
@@ -595,8 +617,9 @@ def prepare(
     first = min((trial.start_ns for trial, _ in trials), default=0)
     if servo is None:
         servo = arm_of(trials)[0]
-    for trial, phases in trials:
-        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo)
+    sharp = _sharp_touches(trials)
+    for (trial, phases), beside in zip(trials, sharp, strict=True):
+        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo, beside)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
@@ -700,8 +723,9 @@ def _prepare(
     campaign_time: float,
     windows: bool,
     servo: Servo | None,
+    beside: FloatArray,
 ) -> FitTrial | str:
-    """Return one trial, or why it cannot be used."""
+    """Return one trial, without the readings at some times, or why it cannot be used."""
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:
         return 'no contact was found'
@@ -728,6 +752,7 @@ def _prepare(
     lone = _lone(force, phases, path, interval)
     eventful &= ~lone
     bad = ((suspects(force.value) | lone) & ~eventful) | absurd(force.value, interval)
+    bad |= np.isin(force.t, beside)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
     edges = samples.edges
@@ -769,6 +794,49 @@ def _prepare(
         events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
+
+
+def _sharp_touches(trials: Sequence[tuple[Trial, Segmentation]]) -> list[FloatArray]:
+    """
+    Return the times of the readings beside each touch, where these are of a moment.
+
+    The fit takes readings for means over a sample. As such the one in which a tool touches is a
+    part of what follows; if none of a campaign is, they are of a moment, and tell nothing of when
+    within a sample the tool touches.
+    """
+    beside: list[FloatArray] = []
+    told: list[bool] = []
+    for trial, phases in trials:
+        found, sharp = _touches(trial.force, phases)
+        beside.append(found)
+        told += sharp
+    whole = np.log(_WHOLE) @ (sum(told), len(told) - sum(told))
+    return beside if whole > _CERTAIN else [np.empty(0)] * len(beside)
+
+
+def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool]]:
+    """
+    Return the times of the readings before and after each clear touch of a trial.
+
+    Also whether the force of each that is told well is whole at once.
+    """
+    value = force.value - phases.force_zero
+    before = math.inf if phases.t_contact is None else phases.t_contact
+    air = value[force.t < before]
+    if air.size < _BASELINE or not (noise := float(np.std(air))) > 0.0:
+        return np.empty(0), []
+    times: list[float] = []
+    sharp: list[bool] = []
+    starts = np.flatnonzero(
+        (np.abs(value[:-3]) < _IN_AIR * noise) & (np.diff(value)[:-2] > _IN_CONTACT * noise)
+    )
+    for k in starts.tolist():
+        first, whole, later = value[k + 1 : k + 4].tolist()
+        times += force.t[k : k + 2].tolist()
+        rest = (whole - first) - (later - whole)
+        if first + max(rest, 0.0) > _CLEAR_TOUCH * noise:
+            sharp.append(rest < _PARTLY * (first + rest))
+    return np.array(times), sharp
 
 
 def arm_of(
@@ -990,6 +1058,21 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     return none
 
 
+def _misread(value: FloatArray) -> NDArray[np.bool_]:
+    """Return which samples of a tool's way are glitches, and not a way there and back."""
+    found = suspects(value)
+    for first, last in runs(found):
+        if last - first < _SHORTEST_WAY or first == 0 or last == value.size:
+            continue
+        steps = np.diff(value[first - 1 : last + 1])
+        inside = np.abs(steps[1:-1])
+        jump = max(abs(float(steps[0])), abs(float(steps[-1])))
+        smooth = np.median(np.abs(np.diff(steps[1:-1]))) < 0.5 * np.median(inside)
+        if smooth and jump < 1.5 * float(inside.max()):
+            found[first:last] = False
+    return found
+
+
 def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
     """
     Return which heights are beyond both of their neighbours, far from where the tool turns.
@@ -1175,7 +1258,7 @@ def _path(
 ) -> tuple[ToolPath, list[_Turned]]:
     """Return the path of the tool, and what it tells of how the arm changes its speed."""
     t, value = displacement.t, displacement.value
-    bad = suspects(value)
+    bad = _misread(value)
     if bad.any():
         t, value = t[~bad], value[~bad]
     noise = _encoder_noise(t, value)
@@ -1293,13 +1376,102 @@ def _closely(
     if noise <= 0.0 or t.size < 16:
         return *_thinned(*_curved(t, value)), []
     breaks = sorted({b for b in events if t[1] < b < t[-2]})
-    found = _pieces(t, value, breaks, noise)
-    knots, levels = _levels(t, value, _meet(t, value, found, noise))
-    knots, levels = _followed(t, value, knots, levels, noise)
-    if knots.size > _MOST_PIECES:
-        return None
+    most = _MOST_PIECES * _ways(value)
+    pieces = _pieces(t, value, breaks, noise, most)
+    knots, levels = _levels(t, value, _meet(t, value, pieces, noise))
+    knots, levels = _followed(t, value, knots, levels, noise, most)
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
-    return _bent(t, value, knots, levels, noise, coarse, servo, touch)
+    found = None
+    if knots.size <= most:
+        found = _bent(t, value, knots, levels, noise, coarse, servo, touch)
+    if coarse == 0.0 and noise <= _EXACT[-1] * float(value.max()):
+        loose = math.inf if found is None else _loose(found)
+        if loose > 0:
+            other = _between_lines(t, value, noise, servo, touch)
+            if other is not None and _loose(other) < loose:
+                return other
+    return found
+
+
+def _ways(value: FloatArray) -> int:
+    """Return how many times a tool goes there and back, by a part of its way that is not small."""
+    few = value[:: max(1, value.size // _FEW_LOOKS)]
+    least = _WAY * float(np.ptp(few))
+    turns, low, high, up = 0, few[0], few[0], True
+    for each in few.tolist():
+        low, high = min(low, each), max(high, each)
+        if up and each < high - least:
+            turns, low, up = turns + 1, each, False
+        elif not up and each > low + least:
+            turns, high, up = turns + 1, each, True
+    return max((turns + 1) // 2, 1)
+
+
+def _loose(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
+    """Return at how many corners of a path no shape follows the samples."""
+    followed = sum(turn.bend.stop > turn.bend.start for turn in found[2])
+    return found[0].size - 2 - followed
+
+
+def _on_lines(t: FloatArray, value: FloatArray, noise: float) -> list[tuple[int, int]]:
+    """Return the first and the last sample of each piece that is straight within the noise."""
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    pieces = []
+    for first, last in runs(np.abs(beside) <= noise):
+        # Sample k + 1 is the one between k and k + 2; where the speed begins to change, each is
+        # on a line with its neighbours for a while.
+        end = last + 2
+        away = (end - first) // 4
+        inner = slice(first + away, end - away)
+        level, slope = _line(t[inner], value[inner], np.ones(end - first - 2 * away))
+        on = np.abs(value[first:end] - level - slope * t[first:end]) <= noise
+        start, stop = max(runs(on), key=lambda run: run[1] - run[0], default=(0, 0))
+        if stop - start >= _FEWEST_ON_LINE:
+            pieces.append((first + start, first + stop - 1))
+    return pieces
+
+
+def _between_lines(
+    t: FloatArray,
+    value: FloatArray,
+    noise: float,
+    servo: Servo | None,
+    touch: float,
+) -> tuple[FloatArray, FloatArray, list[_Turned]] | None:
+    """
+    Return a path of straight pieces and the changes of speed between them.
+
+    Three samples that are nearly exact tell a line, so that a tool which goes to and fro with few
+    samples between its turns is followed as well.
+    """
+    pieces = _on_lines(t, value, noise)
+    if len(pieces) < 2:
+        return None
+    step = float(np.median(np.diff(t)))
+    new_t, new_levels = t[: pieces[0][0] + 1].tolist(), value[: pieces[0][0] + 1].tolist()
+    turns: list[_Turned] = []
+    for (first, last), (after, end) in pairwise(pieces):
+        around = t[[first, last, after, end]].tolist()
+        mine = servo if servo is not None and around[1] > touch else None
+        tried = (
+            _bend(t, value, around, step, noise, 0.0, 0, known)
+            for known in ((mine, None) if mine is not None else (None,))
+        )
+        found = next(filter(None, tried), None)
+        if found is None:
+            new_t += t[last : after + 1].tolist()
+            new_levels += value[last : after + 1].tolist()
+            continue
+        new_t.append(found.bend.t)
+        new_levels.append(found.level)
+        turns.append(found)
+    new_t += t[pieces[-1][1] :].tolist()
+    new_levels += value[pieces[-1][1] :].tolist()
+    made, heights = np.array(new_t), np.array(new_levels)
+    if np.any(np.diff(made) <= 0.0):
+        return None
+    return made, heights, turns
 
 
 def _coarse(t: FloatArray, value: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -1400,9 +1572,13 @@ def _bend(
     edge: int,
     servo: Servo | None,
 ) -> _Turned | None:
-    """Return the acceleration between two straight pieces, and the level where these meet."""
+    """
+    Return the acceleration between two straight pieces, and the level where these meet.
+
+    Beside it are `edge` samples at least; none of the pieces' own are of it where that is zero.
+    """
     left, start, stop, right = around
-    margin = max(stop - start, edge * step)
+    margin = max(stop - start, edge * step) if edge else 0.0
     lines = []
     variance = 0.0
     rest = -1
@@ -1431,6 +1607,8 @@ def _bend(
             variance += noise**2 * ahead**2 / float(away @ away)
     if lines[0][1] == lines[1][1]:
         return None
+    if edge == 0:
+        margin = max(0.5 * (stop - start), step)
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
     if not chosen.any():
         return None
@@ -1446,7 +1624,7 @@ def _bend(
         if is_apart(corner, corner.deviance(own), servo):
             return None
         servo = known
-        shape = servo.shape(corner.turn)
+        shape = servo.shape(corner.turn, corner.share)
         shift = corner.rested(shape)
     meeting, level = corner.meeting(shift)
     squares = corner.left(shape, shift)
@@ -1459,7 +1637,7 @@ def _bend(
         return None
     scale = max(noise**2, squares / corner.t.size)
     sharp = corner.left(Shape(0.0), shift)
-    shown = servo is not None or sharp - squares > _SHOWN * scale
+    shown = servo is not None or sharp - squares > SHOWN * scale
     bend = Bend(
         meeting,
         corner.turn,
@@ -1505,6 +1683,8 @@ def _known_shape(
         found.append((left, shape, shift))
         if left <= enough:
             return shape, shift
+        if corner.is_clean:
+            break
     _, shape, shift = min(found)
     left, shape = _between(corner, shape, shift, longest)
     if left > enough:
@@ -1547,8 +1727,17 @@ def _between(corner: Corner, near: Shape, shift: float, longest: float) -> tuple
     def cost(x: FloatArray) -> float:
         return corner.left(shape(x), shift) / corner.noise**2
 
-    start = np.array([near.duration / scale, near.lag / scale, near.soft, near.swing])
-    left, best = minimum(cost, start[:size], np.array([0.1, 0.1, 0.3, 0.3])[:size], turns=200)
+    start = np.array([near.duration / scale, near.lag / scale, near.soft, near.swing])[:size]
+    if corner.is_clean:
+        highest = np.array([longest / scale, longest / scale, 1.0, WILDEST])[:size]
+        lowest = np.array([1e-9 / scale, 0.0, 0.0, 0.0])[:size]
+        if size == 3:
+            # Of an acceleration that comes at once nothing tells whether it may take longer.
+            start[2] = max(start[2], 0.3)
+        best = polished([corner], lambda x, _: shape(x), start, (lowest, highest))
+        left = cost(best)
+    else:
+        left, best = minimum(cost, start, np.array([0.1, 0.1, 0.3, 0.3])[:size], turns=200)
     return left * corner.noise**2, shape(best)
 
 
@@ -1589,7 +1778,7 @@ def _best_shape(
             at, width = min(ends)[2], (high - low) / 7.0
             low, high = max(at - width, 0.0), at + width
         lagged = min(ends)
-        if lagged[0] < bent - _SHOWN * corner.noise**2:
+        if lagged[0] < bent - SHOWN * corner.noise**2:
             bent, duration, lag = lagged
     return Shape(duration, soft * duration, lag), bent
 
@@ -1600,7 +1789,12 @@ def _beyond(miss: FloatArray, coarse: float) -> FloatArray:
 
 
 def _followed(
-    t: FloatArray, value: FloatArray, knots: FloatArray, levels: FloatArray, noise: float
+    t: FloatArray,
+    value: FloatArray,
+    knots: FloatArray,
+    levels: FloatArray,
+    noise: float,
+    most: int,
 ) -> tuple[FloatArray, FloatArray]:
     """
     Return the path with more corners, or through the samples themselves, where it leaves them.
@@ -1608,7 +1802,7 @@ def _followed(
     A tool that changes its speed within a few samples is followed by no line; the pieces on both
     sides are then those of least squares by themselves.
     """
-    for _ in range(_MORE_CORNERS):
+    for _ in range(_MORE_CORNERS * most // _MOST_PIECES):
         away = np.abs(value - np.interp(t, knots, levels))
         far = int(np.argmax(away))
         if away[far] <= _LEFT_SIGMAS * noise:
@@ -1622,7 +1816,7 @@ def _followed(
         knots, levels = again, new_levels
     corners = knots
     own = np.zeros(t.size, dtype=np.bool_)
-    for _ in range(_MOST_PIECES):
+    for _ in range(most):
         away = np.abs(value - np.interp(t, knots, levels))
         far = int(np.argmax(away))
         if away[far] <= _LEFT_SIGMAS * noise:
@@ -1746,10 +1940,12 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     rounded = rounding(value)
     noise = _spread(beside, 1.5, rounded)
     steps = np.abs(np.diff(value))
+    nothing = _EXACT[0] * float(np.ptp(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
     moves = steps > _MOVING * noise
     fast = moves[2:] & moves[1:-1] & moves[:-2]
-    if np.count_nonzero(fast) >= _FEWEST:
+    exact = noise == 0.0 == rounded and np.mean(np.abs(beside[1:][fast]) < nothing) > _ON_LINES
+    if np.count_nonzero(fast) >= _FEWEST and not exact:
         off, alike = beside[1:][fast], 1.5
         if noise == 0.0:
             # Readings that round, or none of any noise: what a tool that is accelerated is beside
@@ -1844,13 +2040,13 @@ def _thinned(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _pieces(
-    t: FloatArray, value: FloatArray, breaks: Sequence[float], noise: float
+    t: FloatArray, value: FloatArray, breaks: Sequence[float], noise: float, most: int
 ) -> list[float]:
     """Return the corners of straight pieces that follow the samples within the noise."""
     corners = [float(t[0]), *breaks, float(t[-1])]
     bounds = [0, *np.searchsorted(t, corners[1:-1]).tolist(), t.size]
     pending = [(a, b) for a, b in pairwise(bounds) if b > a]
-    while pending and len(corners) <= 2 * _MOST_PIECES:
+    while pending and len(corners) <= 2 * most:
         first, last = pending.pop()
         if last - first < 8:
             continue

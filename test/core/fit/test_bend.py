@@ -16,9 +16,18 @@
 """How an arm changes its speed, as all trials of a campaign tell it together."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 from hapticvision_ros.core.fit.bend import rounded, Servo, servo_of, Shape
-from hapticvision_ros.core.fit.data import _path, arm_of, prepare, tool_path, ToolPath
+from hapticvision_ros.core.fit.data import (
+    _misread,
+    _path,
+    arm_of,
+    prepare,
+    suspects,
+    tool_path,
+    ToolPath,
+)
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
@@ -27,6 +36,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
+TOP = 0.03
 STEP = 1e-5
 SPEEDS = (0.0011, 0.0016, 0.0025, 0.0045)
 SHAPE = Shape(0.07, 0.05, 0.02)
@@ -238,6 +248,79 @@ def test_a_stop_is_followed_after_a_push_that_is_shorter_than_the_swing() -> Non
     delay = 0.5 * shape.duration + shape.lag
     assert stops[0].bend.t == pytest.approx(stop + delay, abs=2e-3)
     assert stops[0].shape.swing == pytest.approx(shape.swing, rel=0.1)
+
+
+TEETH = 6
+TOOTH = 0.14
+
+
+def _to_and_fro(t: np.ndarray, speed: float, *, scaled: bool) -> np.ndarray:
+    """Return the way of an arm that goes to and fro at the end of a push, and is withdrawn."""
+    turn = 0.004 / speed
+    moments = [turn + TOOTH * k for k in range(TEETH + 1)]
+    moments[-1] -= 0.3 * TOOTH
+    moments.append(turn + 4.0)
+    speeds = [speed * (-1.0) ** k for k in range(TEETH + 1)] + [0.0, -0.02]
+    way = speed * t - 0.001
+    jerk = 0.0098
+    for at, (before, after) in zip(moments, pairwise(speeds), strict=True):
+        whole = max(abs(before), abs(after))
+        lasts = 0.0233 * (abs(after - before) / whole if scaled else 1.0)
+        # An even acceleration over one time, averaged over the other, integrated twice.
+        cubes = [
+            sign * np.maximum(t - at + 0.5 * (a * lasts + b * jerk), 0.0) ** 3
+            for sign, a, b in ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
+        ]
+        way += (after - before) * sum(cubes) / (6.0 * lasts * jerk)
+    return way
+
+
+@pytest.mark.parametrize('scaled', [True, False])
+@pytest.mark.parametrize('interval', [0.02, 0.004])
+def test_clean_encoders_tell_how_a_tool_goes_to_and_fro(scaled: bool, interval: float) -> None:
+    """Of a tooth they have seven samples, of which three or four are on a straight line."""
+    speeds = (0.0045, 0.0084, 0.0063, 0.0084)
+    pushes = tuple(Push(speed, 0.004, 4.0, 2.0) for speed in speeds)
+    sensors = Sensors(ForceNoise(0.01), 1e-5)
+    trials, truth = [], []
+    for trial, speed in zip(
+        run(Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors), seed=3).trials,
+        speeds,
+        strict=True,
+    ):
+        phases = segment(trial.force, trial.tool_height, trial.displacement_height)
+        t = np.arange(0.0, trial.tool_height.t[-1], interval)
+        begun = phases.t_contact - 0.001 / speed
+        way = _to_and_fro(t - begun, speed, scaled=scaled)
+        trials.append((replace(trial, tool_height=Signal(t, TOP - way)), phases))
+        trials[-1] = trials[-1][0], replace(phases, contact_height=TOP)
+        truth.append((begun, speed))
+    servo, corners = arm_of(trials)
+    assert servo is not None
+    assert len(corners) >= 4 * TEETH
+    assert servo.scaled == scaled
+    stop, turned = (servo.shape(part * speeds[1], part) for part in (1.0, 2.0))
+    assert stop.duration == pytest.approx(0.0233, rel=0.02)
+    assert turned.duration == pytest.approx(0.0233 * (2.0 if scaled else 1.0), rel=0.02)
+    made, _ = prepare(trials)
+    for trial, (begun, speed) in zip(made, truth, strict=True):
+        assert trial is not None
+        near = np.arange(0.003 / speed, 0.005 / speed + TEETH * TOOTH, 0.002)
+        true = _to_and_fro(near, speed, scaled=scaled)
+        off = np.diff(trial.path.at(near + begun) - true) / 0.002 / speed
+        # Straight lines from sample to sample are off by some twenty percent.
+        assert np.abs(off).max() < 0.02
+
+
+def test_a_way_there_and_back_is_no_glitch() -> None:
+    """The last tooth before a long hold stands out of it; a burst of odd readings does as well."""
+    t = np.arange(0.0, 5.0, 0.02)
+    way = _to_and_fro(t, 0.0084, scaled=True)
+    assert suspects(way).any()
+    assert not _misread(way).any()
+    odd = way.copy()
+    odd[120:130] += 1e-3 * np.random.default_rng(0).choice([-1.0, 1.0], 10)
+    assert _misread(odd)[120:130].all()
 
 
 def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float) -> Servo:
