@@ -77,7 +77,7 @@ _LIKE: Final = 0.02
 """Spread of the parts of its speed by which a tool changes it, below which they are alike."""
 _PROBE: Final = 1e-6
 """Steps by which derivatives of shapes are told."""
-_CLEAN: Final = 1e-4
+_CLEAN: Final = 2e-4
 """Noise of clean encoders over the way that a change of speed makes about it."""
 _CLEANER: Final = 4
 """Rounds in which those that are made otherwise are left out."""
@@ -357,10 +357,16 @@ class Corner(NamedTuple):
         return squares
 
     @property
+    def noisiness(self) -> float:
+        """Return the noise over the way that the change of speed makes here [-]."""
+        if self.rest >= 0 or self.coarse > 0.0:
+            return math.inf
+        return self.noise / (abs(self.turn) * float(self.t[-1] - self.t[0]))
+
+    @property
     def is_clean(self) -> bool:
         """Return whether the encoders neither round nor have noise that matters here."""
-        way = abs(self.turn) * float(self.t[-1] - self.t[0])
-        return self.rest < 0 and self.coarse == 0.0 and self.noise < _CLEAN * way
+        return self.noisiness < _CLEAN
 
     def beside(self, shape: Shape) -> FloatArray:
         """Return what a shape leaves of each sample over the noise; shape (n,) [-]."""
@@ -755,7 +761,7 @@ def _alike(
     longest = _LONGEST * float((lasts + np.array([shape.lag for shape in shapes])).max())
     lag, soft = (float(np.median([each[of] for each in shapes])) for of in (2, 1))
     soft = min(soft / max(float(np.median(lasts)), 1e-9), 1.0)
-    clean = all(corner.is_clean for corner in corners)
+    clean = float(np.median([corner.noisiness for corner in corners])) < _CLEAN
     found: list[tuple[float, float, FloatArray, _Kind]] = []
     shares = np.array([corner.share for corner in corners])
     kinds = {'even': turns, 'alike': np.ones(turns.size)}
