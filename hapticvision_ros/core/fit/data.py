@@ -219,7 +219,7 @@ class Samples:
     good : ndarray of bool, shape (n,)
         False where a sample is set aside as a glitch, or missing.
     missing : ndarray of bool, shape (n,), optional
-        True where a gap of the record has a step without a sample.
+        True where a gap of the record has a step without a sample, or with one that tells nothing.
 
     """
 
@@ -752,9 +752,9 @@ def _prepare(
     lone = _lone(force, phases, path, interval)
     eventful &= ~lone
     bad = ((suspects(force.value) | lone) & ~eventful) | absurd(force.value, interval)
-    bad |= np.isin(force.t, beside)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
+    samples = _without(samples, beside)
     edges = samples.edges
     baseline = int(np.searchsorted(force.t, touch))
     height_interval = 1.0
@@ -837,6 +837,16 @@ def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool
         if first + max(rest, 0.0) > _CLEAR_TOUCH * noise:
             sharp.append(rest < _PARTLY * (first + rest))
     return np.array(times), sharp
+
+
+def _without(samples: Samples, times: FloatArray) -> Samples:
+    """Return samples without the readings at some times, as if these were missing."""
+    if not times.size:
+        return samples
+    away = np.zeros(samples.good.size, dtype=np.bool_)
+    away[np.searchsorted(samples.edges, times) - 1] = True
+    missing = away if samples.missing is None else samples.missing | away
+    return replace(samples, good=samples.good & ~away, missing=missing)
 
 
 def arm_of(

@@ -663,3 +663,64 @@ def test_a_change_of_speed_in_few_samples_is_taken_for_what_it_nearly_is(interva
     near = (fine > 0.9) & (fine < 1.1)
     there = turned.level + turned.bend.turn * np.maximum(fine[near] - turned.bend.t, 0.0)
     assert np.abs(there + turned.bend.beyond(fine[near]) - way[near]).max() < 2e-6
+
+
+def _touching(sampled: str, seeds: int = 6) -> list[tuple[Trial, Segmentation]]:
+    """Return trials whose force jumps by 0.6 N where the tool touches, between two readings."""
+    pairs = []
+    for seed in range(seeds):
+        random = np.random.default_rng(seed)
+        t = np.arange(0.0, 20.0, 0.01) + 0.01 * random.uniform()
+        fine = t[:, np.newaxis] + (0.01 * (np.arange(20) - 9.5) / 20 if sampled == 'mean' else 0.0)
+        force = np.where(fine > 1.0, np.minimum(0.6 + 0.9 * (fine - 1.0), 2.4), 0.0)
+        force[(fine > 3.0) & (fine < 13.0)] = 1.8
+        force[fine > 13.0] = 0.0
+        read = force.mean(axis=1) + 0.003 * random.standard_normal(t.size)
+        tool_t = np.arange(0.0, 20.0, 0.004)
+        tool = Signal(tool_t, 0.04 - _tool(tool_t, CORNERS, DEPTHS))
+        height_t = np.arange(0.0, 20.0, 0.02)
+        height = Signal(height_t, np.clip(_tool(height_t, CORNERS, DEPTHS), 0.0, None))
+        trial = Trial(f'{sampled} {seed}', 0, Signal(t, read), tool, height)
+        pairs.append((trial, PHASES))
+    return pairs
+
+
+def test_readings_of_a_moment_do_not_tell_when_a_tool_touches() -> None:
+    pairs = _touching('moment')
+    made, _ = prepare(pairs)
+    for trial, (measured, _) in zip(made, pairs, strict=True):
+        assert trial is not None
+        beside = np.abs(measured.force.t - 1.0) < 0.01
+        middle = 0.5 * (trial.samples.edges[1:] + trial.samples.edges[:-1])
+        assert middle[~trial.samples.good] == pytest.approx(measured.force.t[beside], abs=1e-9)
+        # None of them stands out.
+        assert trial.set_aside.size == 0
+
+
+def test_means_over_a_sample_tell_when_a_tool_touches() -> None:
+    made, _ = prepare(_touching('mean'))
+    assert all(trial is not None and trial.samples.good.all() for trial in made)
+
+
+def test_two_touches_do_not_tell_how_the_force_is_read() -> None:
+    made, _ = prepare(_touching('moment', seeds=2))
+    assert all(trial is not None and trial.samples.good.all() for trial in made)
+
+
+def test_many_ways_there_and_back_are_followed_through_encoders_that_round() -> None:
+    """Each has four accelerations over 0.2 s, of twenty pieces each."""
+    fine = np.arange(0.0, 20.0, 5e-4)
+    speed = np.zeros(fine.size)
+    for k in range(5):
+        for at, change in ((0.2, 0.004), (1.7, -0.004), (2.2, -0.004), (3.7, 0.004)):
+            rise = np.clip((fine - 3.9 * k - at) / 0.2 + 0.5, 0.0, 1.0)
+            speed += change * rise**2 * (3.0 - 2.0 * rise)
+    way = np.concatenate(([0.0], np.cumsum(0.25e-3 * (speed[1:] + speed[:-1])))) - 0.001
+    t = np.arange(0.001, 19.6, 0.005)
+    read = np.round(np.interp(t, fine, way) / 1e-6) * 1e-6
+    path = tool_path(Signal(t, read), replace(PHASES, t_hold=1.8, t_release=2.2, t_loss=3.6))
+    assert path.t.size < 200
+    near = np.arange(0.5, 19.0, 0.005)
+    off = np.diff(path.at(near) - np.interp(near, fine, way)) / 0.005
+    # Readings themselves are off by 0.1 mm/s.
+    assert np.sqrt(np.mean(off**2)) < 5e-5
