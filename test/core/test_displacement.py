@@ -483,12 +483,12 @@ def test_the_plane_is_looked_for_once_while_the_surface_is_hidden(
     assert 'is not seen' in warnings[-1]
     assert len(found) == 1
     # A sensor that is knocked in the meantime sees another one.
-    knocked = [
-        CloudFrame(frame.t, moved(frame.xyz, (0.0, 0.0, 0.0025)), frame.frame_id)
-        for frame in hidden[20:]
-    ]
-    displacement_from_clouds([*hidden[:20], *knocked], tool_height)
-    assert len(found) == 3
+    for place, knock in enumerate(({'shift': (0.0, 0.0, 0.0025)}, {'tilt': np.deg2rad(0.8)})):
+        knocked = [
+            CloudFrame(frame.t, moved(frame.xyz, **knock), frame.frame_id) for frame in hidden[20:]
+        ]
+        displacement_from_clouds([*hidden[:20], *knocked], tool_height)
+        assert len(found) == 3 + 2 * place
 
 
 def test_a_tool_in_a_close_up_hides_the_dent(tool_height):

@@ -359,9 +359,10 @@ class Corner(NamedTuple):
     @property
     def noisiness(self) -> float:
         """Return the noise over the way that the change of speed makes here [-]."""
-        if self.rest >= 0 or self.coarse > 0.0:
+        way = abs(self.turn) * float(self.t[-1] - self.t[0])
+        if self.rest >= 0 or self.coarse > 0.0 or way == 0.0:
             return math.inf
-        return self.noise / (abs(self.turn) * float(self.t[-1] - self.t[0]))
+        return self.noise / way
 
     @property
     def is_clean(self) -> bool:
@@ -691,7 +692,7 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
     if stopped is None or (whole[1] is not None and whole[0] <= cost):
         return whole[1]
     if not _is_shown(kinds[0][0], stopped):
-        return None
+        return whole[1]
     return replace(stopped, stops=True, others=others)
 
 
@@ -811,6 +812,7 @@ def _clean(each: Sequence[tuple[Corner, float]], kind: _Kind, start: FloatArray)
         return _servo(x, kind).shape(corner.turn, corner.share)
 
     best = np.clip(start, *bounds)
+    each = [(corner, own) for corner, own in each if math.isfinite(corner.noisiness)]
     corners = [corner for corner, _ in each]
     for _ in range(_CLEANER):
         best = polished(corners, shape, best, bounds)

@@ -88,6 +88,10 @@ _IN_AIR: Final = 5.0
 _IN_CONTACT: Final = 10.0
 _CLEAR_TOUCH: Final = 60.0
 """Force over its noise below and above which it is none and one, and which tells a touch well."""
+_BEFORE_TOUCH: Final = 4
+"""Readings in the air before a touch."""
+_RAMP: Final = 0.2
+"""Part of a jump by which the force rises in a reading after it at most."""
 _PARTLY: Final = 0.1
 """Part of the force of a touch that a reading in which the tool touches lacks."""
 _WHOLE: Final = (0.9 / 0.2, 0.1 / 0.8)
@@ -109,6 +113,8 @@ _SHORTEST: Final = 4
 _CLEAR: Final = 4.0
 _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
+_MOST_WAYS: Final = 16
+"""Times there and back that count for these."""
 _WAY: Final = 0.05
 _FEW_LOOKS: Final = 2048
 """Part of a tool's whole way from which on it goes there and back, as so many samples tell."""
@@ -148,6 +154,8 @@ _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
 _FEWEST_ON_LINE: Final = 3
 """Samples that tell a straight piece."""
+_ALIKE: Final = 0.05
+"""Difference of two speeds over the highest below which they may be one that changes."""
 _ON_LINES: Final = 0.1
 """Part of the samples of a tool that moves which are exactly on a line, from which on none of
 what the others are beside one is noise."""
@@ -171,10 +179,14 @@ _BRIEF_SWING: Final = 0.02
 """Part of the longest change of speed that one that swings lasts at least, at first."""
 _TOUCHING: Final = 16
 """Samples of the encoders before the touch beyond which a tool goes that pushes."""
+_CRITICAL: Final = 0.25
+"""Swing of a servo that is critically damped."""
 _SWING_SEARCHES: Final = 4
 """Times that the search for a change of speed that swings is begun anew at most."""
 _FEW_SEEN: Final = 8.0
 """Samples of the encoders in a change of speed from which on they show how it goes."""
+_FEW_CLEAN: Final = 4.0
+"""Those that tell a swing as well, where they are clean."""
 _FORM: Final = 1e-4
 """What its form may be off by otherwise, over the way in it."""
 _FOLLOWS: Final = 2.0
@@ -589,6 +601,7 @@ def prepare(
     *,
     windows: bool = False,
     servo: Servo | None = None,
+    momentary: bool | None = None,
 ) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
     """
     Return trials in the form that the fit works with.
@@ -602,6 +615,9 @@ def prepare(
         all over the trial, for what is faster than the steps elsewhere.
     servo : Servo, optional
         How the arm changes its speed; what the encoders tell of it by default.
+    momentary : bool, optional
+        Whether the readings of the force are of a moment, so that those beside a touch do not tell
+        when within a sample it was; what the touches tell by default.
 
     Returns
     -------
@@ -617,8 +633,10 @@ def prepare(
     first = min((trial.start_ns for trial, _ in trials), default=0)
     if servo is None:
         servo = arm_of(trials)[0]
-    sharp = _sharp_touches(trials)
-    for (trial, phases), beside in zip(trials, sharp, strict=True):
+    if momentary is None:
+        momentary = reads_at_moments(trials)
+    for trial, phases in trials:
+        beside = _touches(trial.force, phases)[0] if momentary else np.empty(0)
         made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo, beside)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
@@ -796,47 +814,61 @@ def _prepare(
     return raw.full_rate
 
 
-def _sharp_touches(trials: Sequence[tuple[Trial, Segmentation]]) -> list[FloatArray]:
+def reads_at_moments(trials: Sequence[tuple[Trial, Segmentation]]) -> bool:
     """
-    Return the times of the readings beside each touch, where these are of a moment.
+    Return whether the readings of the force are of a moment, and not means over a sample.
 
-    The fit takes readings for means over a sample. As such the one in which a tool touches is a
-    part of what follows; if none of a campaign is, they are of a moment, and tell nothing of when
-    within a sample the tool touches.
+    A mean over the sample in which a tool touches is a part of the force that follows; if hardly
+    any of a campaign's is, they are of a moment.
+
+    Parameters
+    ----------
+    trials : sequence of (Trial, Segmentation)
+        A campaign.
+
+    Returns
+    -------
+    bool
+        Whether the clear touches of the trials tell that.
+
     """
-    beside: list[FloatArray] = []
-    told: list[bool] = []
-    for trial, phases in trials:
-        found, sharp = _touches(trial.force, phases)
-        beside.append(found)
-        told += sharp
-    whole = np.log(_WHOLE) @ (sum(told), len(told) - sum(told))
-    return beside if whole > _CERTAIN else [np.empty(0)] * len(beside)
+    told = [whole for trial, phases in trials for whole in _touches(trial.force, phases)[1]]
+    evidence = float(np.log(_WHOLE) @ (sum(told), len(told) - sum(told)))
+    return evidence > _CERTAIN
 
 
 def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool]]:
     """
-    Return the times of the readings before and after each clear touch of a trial.
+    Return the times of the readings before and after each touch of a trial that makes a jump.
 
     Also whether the force of each that is told well is whole at once.
     """
+    force = force.between(-math.inf, np.nextafter(phases.t_end, math.inf))
     value = force.value - phases.force_zero
     before = math.inf if phases.t_contact is None else phases.t_contact
     air = value[force.t < before]
     if air.size < _BASELINE or not (noise := float(np.std(air))) > 0.0:
         return np.empty(0), []
+    free = np.abs(value) < _IN_AIR * noise
+    pressed = value > _IN_CONTACT * noise
+    # A tool was in the air for some readings, and presses for some: one that is lost is neither.
+    since = np.arange(_BEFORE_TOUCH - 1, value.size - 3)
+    starts = pressed[since + 1] & pressed[since + 2] & pressed[since + 3]
+    for back in range(_BEFORE_TOUCH):
+        starts &= free[since - back]
     times: list[float] = []
-    sharp: list[bool] = []
-    starts = np.flatnonzero(
-        (np.abs(value[:-3]) < _IN_AIR * noise) & (np.diff(value)[:-2] > _IN_CONTACT * noise)
-    )
-    for k in starts.tolist():
-        first, whole, later = value[k + 1 : k + 4].tolist()
+    whole: list[bool] = []
+    for k in since[starts].tolist():
+        first, second, later = value[k + 1 : k + 4].tolist()
+        lacks = (second - first) - (later - second)
+        jump = first + max(lacks, 0.0)
+        if later - second > _RAMP * jump or first == second:
+            # A force that rises from nothing, or a reading that is told twice.
+            continue
         times += force.t[k : k + 2].tolist()
-        rest = (whole - first) - (later - whole)
-        if first + max(rest, 0.0) > _CLEAR_TOUCH * noise:
-            sharp.append(rest < _PARTLY * (first + rest))
-    return np.array(times), sharp
+        if jump > _CLEAR_TOUCH * noise:
+            whole.append(lacks < _PARTLY * jump)
+    return np.array(times), whole
 
 
 def _without(samples: Samples, times: FloatArray) -> Samples:
@@ -844,7 +876,8 @@ def _without(samples: Samples, times: FloatArray) -> Samples:
     if not times.size:
         return samples
     away = np.zeros(samples.good.size, dtype=np.bool_)
-    away[np.searchsorted(samples.edges, times) - 1] = True
+    inside = times[(times > samples.edges[0]) & (times < samples.edges[-1])]
+    away[np.searchsorted(samples.edges, inside) - 1] = True
     missing = away if samples.missing is None else samples.missing | away
     return replace(samples, good=samples.good & ~away, missing=missing)
 
@@ -1226,7 +1259,7 @@ class _Turned(NamedTuple):
 def _goes_on(displacement: Signal, touch: float, unsure: float) -> bool:
     """Return whether the tool goes on after the touch by more than is unsure of it there."""
     # A reading of the encoders that is far off is no way.
-    good = ~suspects(displacement.value)
+    good = ~_misread(displacement.value)
     t, value = displacement.t[good], displacement.value[good]
     after = t > touch
     beyond = float(value[after].max(initial=0.0))
@@ -1338,9 +1371,12 @@ def _as_exact(
     # The samples themselves, or a curve through them, are the path where no shape follows them.
     best, most = 0.0 if exact else noise, 0
     for part in _EXACT:
-        if part == _EXACT[-1] and exact and _is_smooth(samples, heights, depth):
-            return 0.0
         least = max(noise, part * depth)
+        corners = len(_apart(samples, heights, _on_lines(samples, heights, least))) - 1
+        if part == _EXACT[-1] and exact and _is_smooth(samples, heights, depth):
+            # A curve through dense samples is better than shapes that follow them nearly.
+            dense = _is_smooth(samples, heights, depth, _EXACT[0])
+            return 0.0 if dense or 2 * most <= corners else best
         found = _closely(samples, heights, events, least, None, touch)
         if found is None:
             continue
@@ -1394,12 +1430,11 @@ def _closely(
     found = None
     if knots.size <= most:
         found = _bent(t, value, knots, levels, noise, coarse, servo, touch)
-    if coarse == 0.0 and noise <= _EXACT[-1] * float(value.max()):
-        loose = math.inf if found is None else _loose(found)
-        if loose > 0:
-            other = _between_lines(t, value, noise, servo, touch)
-            if other is not None and _loose(other) < loose:
-                return other
+    loose = math.inf if found is None else _loose(found)
+    if loose > 0 and coarse == 0.0 and noise <= _EXACT[-1] * float(value.max()):
+        other = _between_lines(t, value, noise, servo, touch)
+        if other is not None and (found is None or _timed(other) >= _timed(found)):
+            return other
     return found
 
 
@@ -1414,13 +1449,17 @@ def _ways(value: FloatArray) -> int:
             turns, low, up = turns + 1, each, False
         elif not up and each > low + least:
             turns, high, up = turns + 1, each, True
-    return max((turns + 1) // 2, 1)
+    return min(max((turns + 1) // 2, 1), _MOST_WAYS)
+
+
+def _timed(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
+    """Return how many changes of speed of a path are followed by a shape that takes time."""
+    return sum(turn.bend.stop > turn.bend.start for turn in found[2])
 
 
 def _loose(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
     """Return at how many corners of a path no shape follows the samples."""
-    followed = sum(turn.bend.stop > turn.bend.start for turn in found[2])
-    return found[0].size - 2 - followed
+    return found[0].size - 2 - _timed(found)
 
 
 def _on_lines(t: FloatArray, value: FloatArray, noise: float) -> list[tuple[int, int]]:
@@ -1442,6 +1481,26 @@ def _on_lines(t: FloatArray, value: FloatArray, noise: float) -> list[tuple[int,
     return pieces
 
 
+def _apart(
+    t: FloatArray, value: FloatArray, pieces: Sequence[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """
+    Return the straight pieces that are none of a smooth change of speed.
+
+    Of many samples a few that follow each other are on a line there as well, which goes on almost
+    as the next one does; of two such the longer may be one.
+    """
+    slopes = np.array(
+        [(value[last] - value[first]) / (t[last] - t[first]) for first, last in pieces]
+    )
+    alike = np.abs(np.diff(slopes)) < _ALIKE * np.abs(slopes).max(initial=0.0)
+    lasts = np.array([t[last] - t[first] for first, last in pieces])
+    curved = np.zeros(len(pieces), dtype=np.bool_)
+    for k in np.flatnonzero(alike).tolist():
+        curved[k if lasts[k] < lasts[k + 1] else k + 1] = True
+    return [piece for piece, is_curved in zip(pieces, curved, strict=True) if not is_curved]
+
+
 def _between_lines(
     t: FloatArray,
     value: FloatArray,
@@ -1455,10 +1514,11 @@ def _between_lines(
     Three samples that are nearly exact tell a line, so that a tool which goes to and fro with few
     samples between its turns is followed as well.
     """
-    pieces = _on_lines(t, value, noise)
+    pieces = _apart(t, value, _on_lines(t, value, noise))
     if len(pieces) < 2:
         return None
     step = float(np.median(np.diff(t)))
+    curve = _curved(t, value)
     new_t, new_levels = t[: pieces[0][0] + 1].tolist(), value[: pieces[0][0] + 1].tolist()
     turns: list[_Turned] = []
     for (first, last), (after, end) in pairwise(pieces):
@@ -1470,8 +1530,10 @@ def _between_lines(
         )
         found = next(filter(None, tried), None)
         if found is None:
-            new_t += t[last : after + 1].tolist()
-            new_levels += value[last : after + 1].tolist()
+            # Two changes of speed in one, say: the samples, or a curve through them.
+            inside = (curve[0] >= t[last]) & (curve[0] <= t[after])
+            new_t += curve[0][inside].tolist()
+            new_levels += curve[1][inside].tolist()
             continue
         new_t.append(found.bend.t)
         new_levels.append(found.level)
@@ -1620,7 +1682,7 @@ def _bend(
     if edge == 0:
         margin = max(0.5 * (stop - start), step)
     chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
-    if not chosen.any():
+    if np.count_nonzero(chosen) < (1 if edge else _FEWEST_ON_LINE):
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
     enough = _FOLLOWS**2 * corner.t.size * noise**2
@@ -1704,6 +1766,10 @@ def _known_shape(
             lag = 0.25 * max(shape.takes, _BRIEF_SWING * longest)
             near = Shape(0.5 * shape.duration, shape.jerk, lag, swing)
             swinging.append(_between(corner, near, shift, longest))
+        if corner.is_clean:
+            # What comes slowly may as well be followed so, without a swing to be seen.
+            near = Shape(shape.duration, 0.0, shape.lag + 0.5 * shape.jerk, _CRITICAL)
+            swinging.append(_between(corner, near, shift, longest))
         closest, other = min(swinging)
         for _ in range(_SWING_SEARCHES):
             # Duration and swing make up for each other: a search may stop on its way.
@@ -1713,7 +1779,8 @@ def _known_shape(
             if again >= closest:
                 break
             closest, other = again, found_again
-        if other.takes > _FEW_SEEN * float(np.median(np.diff(corner.t))):
+        seen = other.takes / float(np.median(np.diff(corner.t)))
+        if seen > _FEW_SEEN or (corner.is_clean and seen > _FEW_CLEAN and closest < 0.25 * left):
             shape = other
     return shape, shift
 
@@ -1954,8 +2021,11 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
     moves = steps > _MOVING * noise
     fast = moves[2:] & moves[1:-1] & moves[:-2]
-    exact = noise == 0.0 == rounded and np.mean(np.abs(beside[1:][fast]) < nothing) > _ON_LINES
-    if np.count_nonzero(fast) >= _FEWEST and not exact:
+    many: np.bool_ | bool = np.count_nonzero(fast) >= _FEWEST
+    if many and noise == 0.0 == rounded:
+        # Much of what a tool goes to and fro is no noise.
+        many = np.mean(np.abs(beside[1:][fast]) < nothing) <= _ON_LINES
+    if many:
         off, alike = beside[1:][fast], 1.5
         if noise == 0.0:
             # Readings that round, or none of any noise: what a tool that is accelerated is beside
@@ -2002,9 +2072,9 @@ def _on_a_grid(value: FloatArray, depth: float) -> bool:
     return bool(off.min() < _OFF_GRID)
 
 
-def _is_smooth(t: FloatArray, value: FloatArray, depth: float) -> bool:
+def _is_smooth(t: FloatArray, value: FloatArray, depth: float, part: float = _EXACT[-1]) -> bool:
     """
-    Return whether a curve through every second sample tells the others.
+    Return whether a curve through every second sample tells the others to a part of the depth.
 
     Through all of them it is off by a sixteenth of that.
     """
@@ -2016,7 +2086,7 @@ def _is_smooth(t: FloatArray, value: FloatArray, depth: float) -> bool:
     away = CubicSpline(known_t, known)(t[inner]) - value[inner]
     straight = np.interp(t[inner], known_t, known) - value[inner]
     better = float(away @ away) <= _CURVED**2 * float(straight @ straight)
-    return better and float(np.abs(away).max(initial=0.0)) < 16.0 * _EXACT[-1] * depth
+    return better and float(np.abs(away).max(initial=0.0)) < 16.0 * part * depth
 
 
 def _curved(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -51,7 +51,7 @@ from hapticvision_ros.core.fit.campaign import (
     TrialFit,
     turn_phases,
 )
-from hapticvision_ros.core.fit.data import FitTrial, prepare, suspects
+from hapticvision_ros.core.fit.data import FitTrial, prepare, reads_at_moments, suspects
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
@@ -99,6 +99,8 @@ class Trained:
         Standard deviations of the logarithms of K1, C1 and C2 from trial to trial.
     servo : Servo, optional
         How the arm changes its speed.
+    momentary : bool, optional
+        Whether the readings of the force are of a moment.
 
     """
 
@@ -109,6 +111,7 @@ class Trained:
     start_ns: int
     scatter: FloatArray
     servo: Servo | None = None
+    momentary: bool | None = None
 
     @classmethod
     def of(cls, fit: Fit, campaign: Sequence[Segmented]) -> 'Trained':
@@ -121,6 +124,7 @@ class Trained:
             min(trial.start_ns for trial, _ in pairs_of(campaign)),
             fit.problem.scatter,
             fit.problem.trials[0].path.servo,
+            reads_at_moments(pairs_of(campaign)),
         )
 
     def problem(self, trials: Sequence[FitTrial]) -> Problem:
@@ -410,7 +414,9 @@ def predict_unseen(
     pairs = pairs_of(unseen)
     # What has a phase is faster than the steps of a trial.
     fast = any(math.isnan(own.neutral) for own in trained.model.trial_parameters)
-    prepared, warnings = prepare(pairs, windows=fast, servo=trained.servo)
+    prepared, warnings = prepare(
+        pairs, windows=fast, servo=trained.servo, momentary=trained.momentary
+    )
     first = min((trial.start_ns for trial, _ in pairs), default=0)
     later = (first - trained.start_ns) * 1e-9
     moved = [

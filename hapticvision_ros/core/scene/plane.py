@@ -31,6 +31,9 @@ _LARGEST_SHARE_BELOW: Final = 0.02
 _PLANE_SAMPLE: Final = 4000
 _PLANE_HYPOTHESES: Final = 256
 _REFINEMENTS: Final = 3
+_AS_NEAR: Final = 1.2
+_FINEST: Final = 2e-5
+"""Distance of a plane's points from it over what it was, and one that is no matter [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +205,8 @@ def still_supports(
     Returns
     -------
     bool
-        Whether as many points lie in it as a plane needs, about as near to it as before, and
-        none below it.
+        Whether as many points lie in it as a plane needs, as near to it as before, and none below
+        it.
 
     """
     if not len(points):
@@ -212,10 +215,15 @@ def still_supports(
     inlier = np.abs(height) < settings.plane_tolerance
     if np.mean(inlier) < max(settings.least_plane_share, 0.5 * plane.share):
         return False
-    # A sensor that was knocked sees the plane beside where it was.
+    # A sensor that was knocked sees the plane beside where it was, or askew.
     off = abs(float(np.median(height[inlier])))
+    spread = float(np.sqrt(np.mean(height[inlier] ** 2)))
     below = float(np.mean(height < -LARGEST_OFFSET))
-    return off < 0.1 * settings.plane_tolerance and below < _LARGEST_SHARE_BELOW
+    return (
+        off < 0.1 * settings.plane_tolerance
+        and spread < max(_AS_NEAR * plane.noise, _FINEST)
+        and below < _LARGEST_SHARE_BELOW
+    )
 
 
 def _is_levelled(points: FloatArray, settings: PlanningSettings) -> bool:

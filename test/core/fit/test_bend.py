@@ -18,7 +18,7 @@
 from dataclasses import replace
 from itertools import pairwise
 
-from hapticvision_ros.core.fit.bend import rounded, Servo, servo_of, Shape
+from hapticvision_ros.core.fit.bend import Corner, rounded, Servo, servo_of, Shape
 from hapticvision_ros.core.fit.data import (
     _misread,
     _path,
@@ -94,7 +94,10 @@ def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
 
 
 def _campaign(
-    shapes: list[Shape], step: float, released: list[Shape] | None = None
+    shapes: list[Shape],
+    step: float,
+    released: list[Shape] | None = None,
+    interval: float = 0.008,
 ) -> list[tuple[Trial, Segmentation]]:
     """Return pushes whose tool goes as given, through encoders that round; the force is not."""
     pushes = tuple(Push(speed, 0.004, 4.0, 2.0) for speed in SPEEDS)
@@ -103,7 +106,7 @@ def _campaign(
     trials = run(Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors), seed=3).trials
     for trial, speed, shape, other in zip(trials, SPEEDS, shapes, released or shapes, strict=True):
         phases = segment(trial.force, trial.tool_height, trial.displacement_height)
-        t = np.arange(0.0, trial.tool_height.t[-1], 0.008)
+        t = np.arange(0.0, trial.tool_height.t[-1], interval)
         since = t - phases.t_contact + 0.001 / speed
         way, later = (
             _way(since, speed, 0.004 / speed, each, 0.004 / speed + 4.0) for each in (shape, other)
@@ -323,6 +326,31 @@ def test_a_way_there_and_back_is_no_glitch() -> None:
     assert _misread(odd)[120:130].all()
 
 
+def test_few_clean_samples_tell_a_servo_of_second_order() -> None:
+    """Of 50 Hz: seven samples of each change of speed, and one that is made of two."""
+    shape = Shape(0.0962, 0.0, 0.0198, 0.285)
+    trials = _campaign([shape] * 4, 1e-12, interval=0.02)
+    trial, phases = trials[0]
+    t, way = trial.tool_height.t, phases.contact_height - trial.tool_height.value
+    # It is let go faster while it still begins to be withdrawn.
+    begun = phases.t_contact - 0.001 / SPEEDS[0] + 0.004 / SPEEDS[0] + 4.0
+    way -= 0.4 * np.clip(t - begun - 0.07, 0.0, None) ** 2 * (t < begun + 0.13)
+    later = t >= begun + 0.13
+    way[later] -= 0.4 * 0.06**2 + 0.8 * 0.06 * (t[later] - begun - 0.13)
+    read = Signal(t, phases.contact_height - way)
+    trials[0] = replace(trial, tool_height=read), phases
+    servo, corners = arm_of(trials)
+    assert servo is not None
+    assert len(corners) >= 7
+    assert servo.duration == pytest.approx(shape.duration, rel=0.01)
+    assert servo.lag == pytest.approx(shape.lag, rel=0.02)
+    assert servo.swing == pytest.approx(shape.swing, rel=0.02)
+    made, _ = prepare(trials)
+    assert made[0] is not None
+    # A lag of first order, and an acceleration that comes slowly, are off by five times that.
+    assert _off(made[0].path, phases, SPEEDS[0], shape) < 2e-6
+
+
 def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float) -> Servo:
     """Return the servo of a campaign whose paths go as a shape says, but for `most`."""
     made, _ = prepare(trials)
@@ -339,3 +367,10 @@ def test_limits_of_an_arm_are_told() -> None:
     assert arm.inward(0.1, 0.1) == (0.0, 0.0)
     assert replace(arm, lag=0.0, jerk=0.0).inward(0.1, 0.1) == (1.0, 1.0)
     assert replace(arm, jerk=1.0).inward(0.1, 0.1) == (0.0, -1.0)
+
+
+def test_a_corner_of_one_sample_tells_nothing() -> None:
+    """Lines that share a sample, beside gaps of the record."""
+    alone = Corner(np.array([2.5]), np.array([0.0]), 0.0, 0.001, 0.0, -0.001, -1, 0.0, 1e-8)
+    assert alone.noisiness == np.inf
+    assert servo_of([alone] * 3, [Shape(0.0)] * 3) is None

@@ -21,6 +21,7 @@ from hapticvision_ros.core.fit.data import (
     _bend,
     planned,
     prepare,
+    reads_at_moments,
     suspects,
     tool_path,
     ToolPath,
@@ -724,3 +725,41 @@ def test_many_ways_there_and_back_are_followed_through_encoders_that_round() -> 
     off = np.diff(path.at(near) - np.interp(near, fine, way)) / 0.005
     # Readings themselves are off by 0.1 mm/s.
     assert np.sqrt(np.mean(off**2)) < 5e-5
+
+
+def test_readings_that_are_lost_or_odd_are_no_touches() -> None:
+    """A reading of zero in the hold, and one of a newton in the air, say nothing of the others."""
+    pairs = []
+    for trial, phases in _touching('mean'):
+        value = trial.force.value.copy()
+        value[np.searchsorted(trial.force.t, 6.0)] = 0.0
+        value[np.searchsorted(trial.force.t, 16.0)] = 1.0
+        # No touch is told well.
+        value[trial.force.t < 1.2] = np.random.default_rng(1).normal(0.0, 0.02, value.size)[
+            trial.force.t < 1.2
+        ]
+        pairs.append((replace(trial, force=Signal(trial.force.t, value)), phases))
+    assert not reads_at_moments(pairs)
+
+
+def test_touches_after_the_end_of_a_trial_do_not_count() -> None:
+    """The record of the force outlasts that of the tool, which pushes once more."""
+    pairs = [(trial, replace(phases, t_end=12.0)) for trial, phases in _touching('moment')]
+    for place, (trial, phases) in enumerate(pairs):
+        value = trial.force.value.copy()
+        value[trial.force.t > 15.0] = 1.5
+        pairs[place] = replace(trial, force=Signal(trial.force.t, value)), phases
+    made, _ = prepare(pairs)
+    assert all(trial is not None and np.sum(~trial.samples.good) == 2 for trial in made)
+
+
+def test_what_trials_tell_of_the_readings_is_kept_for_others() -> None:
+    seen = _touching('moment')
+    made, _ = prepare(seen[:1], momentary=reads_at_moments(seen))
+    assert made[0] is not None and np.sum(~made[0].samples.good) == 2
+
+
+def test_a_tool_that_never_goes_on_has_encoders_without_noise() -> None:
+    t = np.arange(0.0, 5.0, 0.01)
+    path = tool_path(Signal(t, np.where(t < 2.5, -0.004, 0.004)), replace(PHASES, t_end=5.0))
+    assert np.isfinite(path.displacement).all()
