@@ -71,6 +71,11 @@ _NOISIEST: Final = 0.5
 """Part of the usual margin by which heights spread that are more than noisy."""
 _RISES: Final = 0.1
 """Part of the tool's way by which a close-up rises that is in another frame."""
+_DOWN: Final = 0.5
+_FEWEST_DOWN: Final = 5
+_WITH_TOOL: Final = 0.6
+"""Part of its deepest way below which a tool is down, frames that tell it, and the part of its
+depth by which a surface that it presses goes down as well."""
 _LEAST_TOLD: Final = 8
 """Fewest heights that tell their own noise."""
 
@@ -470,6 +475,7 @@ def displacement_from_clouds(
     first, last = float(tool_height.t[0]), float(tool_height.t[-1])
     times: list[float] = []
     heights: list[float] = []
+    tools: list[float] = []
     warnings: list[str] = []
     tracker: DisplacementTracker | None = None
     refusal = 'there is no cloud within the record of the tool height'
@@ -505,6 +511,7 @@ def displacement_from_clouds(
         if height is not None:
             times.append(frame.t)
             heights.append(height)
+            tools.append(tool)
     if tracker is None:
         return None, (f'The clouds give no displacement height: {refusal}.',)
     if tracker.original_height is None:
@@ -520,6 +527,12 @@ def displacement_from_clouds(
             f'free of the tool in {len(times)} of {used} frames.',
         )
     found = Signal(np.array(times), np.array(heights))
+    if _is_elsewhere(found.value, tracker.original_height - np.array(tools)):
+        return None, (
+            *warnings,
+            'The clouds give no displacement height: what they show at the contact point stays '
+            'above the tool that presses it, so that the tool pushes elsewhere, or hides where.',
+        )
     if near is not None:
         pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
         # A sensor that drifts, or a tool whose height is a little off, is no other frame.
@@ -531,6 +544,27 @@ def displacement_from_clouds(
                 'frame of the plane: record clouds in the frame support_plane.',
             )
     return found, tuple(warnings)
+
+
+def _is_elsewhere(heights: FloatArray, depths: FloatArray) -> bool:
+    """
+    Return whether a surface is not where the tool presses it.
+
+    Parameters
+    ----------
+    heights, depths : ndarray, shape (n,)
+        Displacement height, and depth of the tool below the original surface [m].
+
+    Returns
+    -------
+    bool
+        Whether it goes down by far less while the tool is down.
+
+    """
+    down = depths > _DOWN * float(depths.max(initial=0.0))
+    if np.count_nonzero(down) < _FEWEST_DOWN:
+        return False
+    return bool(np.median(heights[down]) < _WITH_TOOL * np.median(depths[down]))
 
 
 def _by_noise(

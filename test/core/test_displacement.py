@@ -527,6 +527,18 @@ def test_clouds_without_the_tool_show_the_dent_all_the_time(tool_height):
     assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
 
 
+def test_a_surface_that_stays_above_the_tool_is_not_the_one_that_it_presses(tool_height):
+    """The contact point is taken beside the dent, in clouds that do not show the tool."""
+    clouds = [
+        CloudFrame(t, view(dent, 1.0, seed), 'support_plane')
+        for seed, (t, _, dent) in enumerate(trial())
+    ]
+    beside = (AXIS[0] + 0.03, AXIS[1], TOP)
+    signal, warnings = displacement_from_clouds(clouds, tool_height, contact_point=beside)
+    assert signal is None
+    assert 'stays above the tool' in warnings[-1]
+
+
 def test_a_driver_takes_no_dent_below_the_tool():
     """Only of a record is the noise looked at: what a robot goes by stays as it was."""
     tracker = DisplacementTracker(AXIS)

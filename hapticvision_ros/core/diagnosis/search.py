@@ -495,6 +495,7 @@ class _Search:
                 # A model that is known to be wrong does not tell its effects from others well.
                 status = 'partly_explained'
                 named = [_widened(each) for each in sets]
+        named = _parted(named, order)
         unexplained = self._unexplained(bench, base, chosen, rest)
         self._drawn_out(bench, rounds[-1])
         if not rest:
@@ -860,6 +861,11 @@ def _named_pairs(
         if pair[0] != pair[1]:
             most.setdefault(pair, cosine)
     return tuple((*pair, cosine) for pair, cosine in most.items())
+
+
+def _parted(sets: Sequence[tuple[str, ...]], order: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the sets without what was accepted beside them: it is no rival of their leaders."""
+    return [(*each[:1], *(name for name in each[1:] if name not in order)) for each in sets]
 
 
 def _widened(found: Round) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from typing import Any
 
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
-from hapticvision_ros.core.diagnosis.search import _contenders, choose_again, diagnose
+from hapticvision_ros.core.diagnosis.search import _contenders, _parted, choose_again, diagnose
 from hapticvision_ros.core.diagnosis.selection import Round, Trialled
 from hapticvision_ros.core.fit.bend import told
 from hapticvision_ros.core.fit.data import arm_of, prepare
@@ -439,3 +439,9 @@ def test_ways_that_the_encoders_leave_open_lead_away_from_the_limits(smoothed: A
             assert other != arm
             # A step is one that the encoders allow, if all of it can be gone.
             assert told(corners, other) - start < 30.0
+
+
+def test_what_was_accepted_is_no_rival_of_another() -> None:
+    sets = [('series_spring', 'force_lag', 'yield_force'), ('yield_force',)]
+    parted = _parted(sets, ('series_spring', 'yield_force'))
+    assert parted == [('series_spring', 'force_lag'), ('yield_force',)]
