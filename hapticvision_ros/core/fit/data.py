@@ -83,7 +83,9 @@ _LONE_STEPS: Final = 12.0
 _LONGEST_GLITCH: Final = 16
 """Samples in a glitch that is set aside before any fit."""
 _SHORTEST_WAY: Final = 5
-"""Samples over which a tool goes there and back, which a glitch does at once."""
+_AS_USUAL: Final = 3.0
+"""Samples over which a tool goes there and back, which a glitch does at once; and steps from one
+to the next, over the usual ones there, that are none of a glitch."""
 _IN_AIR: Final = 5.0
 _IN_CONTACT: Final = 10.0
 _CLEAR_TOUCH: Final = 60.0
@@ -859,13 +861,13 @@ def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool
     times: list[float] = []
     whole: list[bool] = []
     for k in since[starts].tolist():
-        first, second, later = value[k + 1 : k + 4].tolist()
+        first, second, later = (float(value[k + after]) for after in (1, 2, 3))
         lacks = (second - first) - (later - second)
         jump = first + max(lacks, 0.0)
         if later - second > _RAMP * jump or first == second:
             # A force that rises from nothing, or a reading that is told twice.
             continue
-        times += force.t[k : k + 2].tolist()
+        times += [float(force.t[k]), float(force.t[k + 1])]
         if jump > _CLEAR_TOUCH * noise:
             whole.append(lacks < _PARTLY * jump)
     return np.array(times), whole
@@ -1107,11 +1109,13 @@ def _misread(value: FloatArray) -> NDArray[np.bool_]:
     for first, last in runs(found):
         if last - first < _SHORTEST_WAY or first == 0 or last == value.size:
             continue
-        steps = np.diff(value[first - 1 : last + 1])
+        with_ends = slice(first - 1, last + 1)
+        steps = np.diff(value[with_ends])
         inside = np.abs(steps[1:-1])
-        jump = max(abs(float(steps[0])), abs(float(steps[-1])))
-        smooth = np.median(np.abs(np.diff(steps[1:-1]))) < 0.5 * np.median(inside)
-        if smooth and jump < 1.5 * float(inside.max()):
+        usual = float(np.median(inside))
+        jump = max(abs(float(steps[0])), abs(float(steps[-1])), float(inside.max()))
+        smooth = float(np.median(np.abs(np.diff(steps[1:-1])))) < 0.5 * usual
+        if smooth and jump < _AS_USUAL * usual:
             found[first:last] = False
     return found
 
@@ -1538,8 +1542,9 @@ def _between_lines(
         new_t.append(found.bend.t)
         new_levels.append(found.level)
         turns.append(found)
-    new_t += t[pieces[-1][1] :].tolist()
-    new_levels += value[pieces[-1][1] :].tolist()
+    rest = slice(pieces[-1][1], None)
+    new_t += t[rest].tolist()
+    new_levels += value[rest].tolist()
     made, heights = np.array(new_t), np.array(new_levels)
     if np.any(np.diff(made) <= 0.0):
         return None

@@ -324,6 +324,10 @@ def test_a_way_there_and_back_is_no_glitch() -> None:
     odd = way.copy()
     odd[120:130] += 1e-3 * np.random.default_rng(0).choice([-1.0, 1.0], 10)
     assert _misread(odd)[120:130].all()
+    # Between two of a push, those that are right are set aside with them.
+    push = 1e-5 * np.arange(400.0)
+    push[[200, 207]] += 0.04
+    assert _misread(push)[[200, 207]].all()
 
 
 def test_few_clean_samples_tell_a_servo_of_second_order() -> None:
