@@ -89,8 +89,6 @@ _RESTING: Final = 0.1
 """Speed after a stop, over that before, below which it is one."""
 _LONGEST: Final = 3.0
 """How long a change of speed may take, over the longest that was found for one."""
-
-
 _BOUNDS: Final = np.array([_LONGEST, 10.0, 1.0, WILDEST])
 """Greatest numbers of a servo, as a search takes it."""
 
@@ -522,6 +520,10 @@ class Servo:
     def _softest(self) -> float:
         return self.lasts if self.even else 1.0
 
+    def at(self, corner: Corner) -> Shape:
+        """Return how the change of speed of a corner goes."""
+        return self.shape(corner.turn, corner.share)
+
     def shape(self, turn: float, share: float = 1.0) -> Shape:
         """Return how a change of speed [m/s] goes, of a part `share` of the speed."""
         if self.scaled:
@@ -586,7 +588,7 @@ def told(corners: Sequence[Corner], servo: Servo) -> float:
     total = 0.0
     for corner in corners:
         mine = servo.of(corner)
-        total += 0.0 if mine is None else corner.deviance(mine.shape(corner.turn, corner.share))
+        total += 0.0 if mine is None else corner.deviance(mine.at(corner))
     return total
 
 
@@ -605,10 +607,7 @@ def is_apart(corner: Corner, alone: float, servo: Servo) -> bool:
 
     """
     mine = servo.of(corner)
-    return (
-        mine is not None
-        and corner.deviance(mine.shape(corner.turn, corner.share)) > alone + _APART
-    )
+    return mine is not None and corner.deviance(mine.at(corner)) > alone + _APART
 
 
 class _Kind(NamedTuple):
@@ -647,7 +646,7 @@ def _left(
 ) -> float:
     """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
     servo = _servo(x, kind)
-    shapes = [servo.shape(corner.turn, corner.share) for corner, _ in corners]
+    shapes = [servo.at(corner) for corner, _ in corners]
     if np.any(x[1:] < 0.0) or max(sum(shape[:3]) for shape in shapes) > longest:
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
@@ -809,7 +808,7 @@ def _clean(each: Sequence[tuple[Corner, float]], kind: _Kind, start: FloatArray)
     bounds = np.array([-_LONGEST, 0.0, 0.0, 0.0])[: start.size], _BOUNDS[: start.size]
 
     def shape(x: FloatArray, corner: Corner) -> Shape:
-        return _servo(x, kind).shape(corner.turn, corner.share)
+        return _servo(x, kind).at(corner)
 
     best = np.clip(start, *bounds)
     each = [(corner, own) for corner, own in each if math.isfinite(corner.noisiness)]

@@ -156,8 +156,6 @@ _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
 _FEWEST_ON_LINE: Final = 3
 """Samples that tell a straight piece."""
-_ALIKE: Final = 0.05
-"""Difference of two speeds over the highest below which they may be one that changes."""
 _ON_LINES: Final = 0.1
 """Part of the samples of a tool that moves which are exactly on a line, from which on none of
 what the others are beside one is noise."""
@@ -1376,8 +1374,8 @@ def _as_exact(
     best, most = 0.0 if exact else noise, 0
     for part in _EXACT:
         least = max(noise, part * depth)
-        corners = len(_apart(samples, heights, _on_lines(samples, heights, least))) - 1
         if part == _EXACT[-1] and exact and _is_smooth(samples, heights, depth):
+            corners = len(_on_lines(samples, heights, least)) - 1
             # A curve through dense samples is better than shapes that follow them nearly.
             dense = _is_smooth(samples, heights, depth, _EXACT[0])
             return 0.0 if dense or 2 * most <= corners else best
@@ -1485,26 +1483,6 @@ def _on_lines(t: FloatArray, value: FloatArray, noise: float) -> list[tuple[int,
     return pieces
 
 
-def _apart(
-    t: FloatArray, value: FloatArray, pieces: Sequence[tuple[int, int]]
-) -> list[tuple[int, int]]:
-    """
-    Return the straight pieces that are none of a smooth change of speed.
-
-    Of many samples a few that follow each other are on a line there as well, which goes on almost
-    as the next one does; of two such the longer may be one.
-    """
-    slopes = np.array(
-        [(value[last] - value[first]) / (t[last] - t[first]) for first, last in pieces]
-    )
-    alike = np.abs(np.diff(slopes)) < _ALIKE * np.abs(slopes).max(initial=0.0)
-    lasts = np.array([t[last] - t[first] for first, last in pieces])
-    curved = np.zeros(len(pieces), dtype=np.bool_)
-    for k in np.flatnonzero(alike).tolist():
-        curved[k if lasts[k] < lasts[k + 1] else k + 1] = True
-    return [piece for piece, is_curved in zip(pieces, curved, strict=True) if not is_curved]
-
-
 def _between_lines(
     t: FloatArray,
     value: FloatArray,
@@ -1518,11 +1496,11 @@ def _between_lines(
     Three samples that are nearly exact tell a line, so that a tool which goes to and fro with few
     samples between its turns is followed as well.
     """
-    pieces = _apart(t, value, _on_lines(t, value, noise))
+    pieces = _on_lines(t, value, noise)
     if len(pieces) < 2:
         return None
     step = float(np.median(np.diff(t)))
-    curve = _curved(t, value)
+    curve: tuple[FloatArray, FloatArray] | None = None
     new_t, new_levels = t[: pieces[0][0] + 1].tolist(), value[: pieces[0][0] + 1].tolist()
     turns: list[_Turned] = []
     for (first, last), (after, end) in pairwise(pieces):
@@ -1535,6 +1513,8 @@ def _between_lines(
         found = next(filter(None, tried), None)
         if found is None:
             # Two changes of speed in one, say: the samples, or a curve through them.
+            if curve is None:
+                curve = _curved(t, value)
             inside = (curve[0] >= t[last]) & (curve[0] <= t[after])
             new_t += curve[0][inside].tolist()
             new_levels += curve[1][inside].tolist()
@@ -1701,7 +1681,7 @@ def _bend(
         if is_apart(corner, corner.deviance(own), servo):
             return None
         servo = known
-        shape = servo.shape(corner.turn, corner.share)
+        shape = servo.at(corner)
         shift = corner.rested(shape)
     meeting, level = corner.meeting(shift)
     squares = corner.left(shape, shift)

@@ -17,6 +17,7 @@
 from dataclasses import replace
 
 from hapticvision_ros.core.fit.bend import Bend, Shape
+from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _bend,
     planned,
@@ -26,6 +27,7 @@ from hapticvision_ros.core.fit.data import (
     tool_path,
     ToolPath,
 )
+from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.models.motion import acceleration
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
@@ -755,8 +757,13 @@ def test_touches_after_the_end_of_a_trial_do_not_count() -> None:
 
 def test_what_trials_tell_of_the_readings_is_kept_for_others() -> None:
     seen = _touching('moment')
-    made, _ = prepare(seen[:1], momentary=reads_at_moments(seen))
-    assert made[0] is not None and np.sum(~made[0].samples.good) == 2
+    found = fit(seen)
+    (unseen,) = predict_unseen(Trained.of(found, seen), seen[:1]).trials
+    assert unseen is not None and found.trials[0] is not None
+    # One trial alone does not tell.
+    (alone,) = fit(seen[:1]).trials
+    assert alone is not None
+    assert len(unseen.force) == len(found.trials[0].force) == len(alone.force) - 2
 
 
 def test_a_tool_that_never_goes_on_has_encoders_without_noise() -> None:
