@@ -79,6 +79,12 @@ depth by which a surface that it presses goes down as well."""
 _LEAST_TOLD: Final = 8
 """Fewest heights that tell their own noise."""
 
+ELSEWHERE: Final = (
+    'The clouds give no displacement height: what they show at the contact point stays above the '
+    'tool that presses it, so that the tool pushes elsewhere, or hides where.'
+)
+"""Said of clouds whose surface `is_elsewhere`."""
+
 LARGEST_TILT: Final = np.deg2rad(2.0)
 """A support plane tilted by more than this [rad] is not that of the contract's frame."""
 
@@ -527,12 +533,8 @@ def displacement_from_clouds(
             f'free of the tool in {len(times)} of {used} frames.',
         )
     found = Signal(np.array(times), np.array(heights))
-    if _is_elsewhere(found.value, tracker.original_height - np.array(tools)):
-        return None, (
-            *warnings,
-            'The clouds give no displacement height: what they show at the contact point stays '
-            'above the tool that presses it, so that the tool pushes elsewhere, or hides where.',
-        )
+    if is_elsewhere(found.value, tracker.original_height - np.array(tools)):
+        return None, (*warnings, ELSEWHERE)
     if near is not None:
         pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
         # A sensor that drifts, or a tool whose height is a little off, is no other frame.
@@ -546,7 +548,7 @@ def displacement_from_clouds(
     return found, tuple(warnings)
 
 
-def _is_elsewhere(heights: FloatArray, depths: FloatArray) -> bool:
+def is_elsewhere(heights: FloatArray, depths: FloatArray) -> bool:
     """
     Return whether a surface is not where the tool presses it.
 

@@ -155,13 +155,43 @@ class CampaignAnalysis:
 
 
 def analyse(trial: Trial) -> TrialAnalysis:
-    """Segment one trial and estimate its parameters by the paper's method."""
+    """
+    Segment one trial and estimate its parameters by the paper's method.
+
+    Displacement heights of clouds whose surface is not where the force tells that the tool
+    presses are left out, with a warning.
+    """
     segmentation = segment(trial.force, trial.tool_height, trial.displacement_height)
+    pressed = _without_another_surface(trial, segmentation)
+    if pressed is not trial:
+        trial, segmentation = pressed, segment(pressed.force, pressed.tool_height)
     return TrialAnalysis(
         trial=trial,
         segmentation=segmentation,
         paper=fit_paper(trial, segmentation),
         noise=estimate_noise(trial, segmentation),
+    )
+
+
+def _without_another_surface(trial: Trial, segmentation: Segmentation) -> Trial:
+    """
+    Return a trial without the heights of clouds that show another surface than the tool touches.
+
+    Where the tool hides the contact point in each cloud, none tells its original height; the
+    force does.
+    """
+    heights, touched = trial.displacement_height, segmentation.contact_height
+    if trial.displacement_source != 'points' or heights is None or touched is None:
+        return trial
+    from hapticvision_ros.core.displacement import ELSEWHERE, is_elsewhere
+
+    if not is_elsewhere(heights.value, touched - trial.tool_height.at(heights.t)):
+        return trial
+    return replace(
+        trial,
+        displacement_height=None,
+        displacement_source='none',
+        warnings=(*trial.warnings, ELSEWHERE),
     )
 
 

@@ -14,6 +14,8 @@
 
 """The displacement height H from clouds that the tests make."""
 
+from dataclasses import replace
+
 from hapticvision_ros.core import displacement
 from hapticvision_ros.core.displacement import (
     _by_noise,
@@ -21,8 +23,11 @@ from hapticvision_ros.core.displacement import (
     DisplacementSettings,
     DisplacementTracker,
 )
+from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.records import CloudFrame, Signal
 from hapticvision_ros.core.scene.plane import fit_support_plane
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
+from hapticvision_ros.sim.specimen import Body
 import numpy as np
 import pytest
 
@@ -601,3 +606,23 @@ def test_the_edge_of_an_object_is_no_noise():
     assert _by_noise(points, 0.1, settings) is settings
     told = _by_noise(points[x > 0.0], 0.1, settings)
     assert told.noise == pytest.approx(FINE, rel=0.3)
+
+
+def test_clouds_that_never_show_the_contact_point_give_no_heights() -> None:
+    """Where the surface was tells the force, not what is seen beside the tool."""
+    pushes = tuple(Push(speed, 0.004, 4.0, 3.0) for speed in (0.002, 0.004))
+    sensors = Sensors(ForceNoise(0.01), 3e-5)
+    ran = run(Campaign(Body(800.0, 900.0, 2000.0), pushes, sensors), [], seed=3)
+    trial = ran.trials[0]
+    heights = trial.displacement_height
+    beside = Signal(heights.t, 0.2 * heights.value)
+    seen = analyse(replace(trial, displacement_source='points'))
+    hidden = analyse(replace(trial, displacement_height=beside, displacement_source='points'))
+    recorded = analyse(replace(trial, displacement_height=beside))
+    assert seen.trial.displacement_source == 'points'
+    assert seen.trial.displacement_height is heights
+    assert hidden.trial.displacement_height is None
+    assert hidden.trial.displacement_source == 'none'
+    assert 'stays above the tool' in hidden.warnings[-1]
+    assert not hidden.noise.height.known
+    assert recorded.trial.displacement_height is beside
