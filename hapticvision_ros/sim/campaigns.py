@@ -83,6 +83,10 @@ class Push:
         Duration of the hold, and of the recovery after the tool is up again [s].
     release_speed : float
         Speed of the withdrawal [m/s].
+    swings : int
+        How often the tool goes back and down again before the hold, with the speed of the push.
+    swing : float
+        How far it goes back [m].
 
     """
 
@@ -91,6 +95,8 @@ class Push:
     hold: float
     recover: float
     release_speed: float = 0.02
+    swings: int = 0
+    swing: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -569,6 +575,9 @@ def _motion(campaign: Campaign, push: Push) -> tuple[Motion, float, tuple[tuple[
     path.go(-gap, max(push.speed, 0.01))
     phases.append((path.t, 'push'))
     path.go(push.depth, push.speed)
+    for _ in range(push.swings):
+        path.go(push.depth - push.swing, push.speed)
+        path.go(push.depth, push.speed)
     phases.append((path.t, 'hold'))
     path.rest(push.hold)
     phases.append((path.t, 'release'))

@@ -1444,10 +1444,10 @@ def _search(
 ) -> tuple[Problem, list[FloatArray]]:
     """Return the problem with white noise, and the states from several starts, best first."""
     base = Model()
-    body = identify(trials)
+    body = identify(trials, force_noise.std)
+    values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     problem = Problem(base, trials)
     given = {} if start is None else dict(start)
-    values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
     starts = [values]
     slow = slow_body(trials, values)
     if slow is not None:

@@ -26,26 +26,57 @@ from typing import Final
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.three_element import ThreeElement
+from hapticvision_ros.core.outliers import runs
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
+from numpy.typing import NDArray
 
 _GRID: Final = 48
 _SAME: Final = 1e-9
 """Relative difference between two steps that makes none."""
 _LONGEST: Final = 100.0
 """The slowest relaxation that is tried, in durations of a contact."""
+_IN_AIR: Final = 3.0
+_PRESSED: Final = 10.0
+"""Forces of a tool in the air and of one that presses, in standard deviations of the noise."""
+_BACK: Final = 0.01
+"""Part of the deepest way by which a tool is back that has left."""
+_STEPS_IN_AIR: Final = 3
+"""Fewest steps in a row in which a tool has left."""
 
 
 @kernel()
-def _products(duration, travel, force, count, times, out):  # type: ignore[no-untyped-def]
-    """Add the products of speed, mean Maxwell stretch and force to `out`, shape (6, times)."""
+def _products(duration, travel, force, count, fresh, times, out):  # type: ignore[no-untyped-def]
+    """
+    Add the products of speed, mean Maxwell stretch and force to `out`, shape (6, times).
+
+    From a fresh step on the stretch is what it would be from none, and an unknown one that was
+    there decays beside it, which takes its part of all products.
+    """
+    part = np.zeros(4)
     for k in range(times.size):
         T = times[k]
         s = 0.0
+        before = 0.0
         known = -1.0
         left = 0.0
         mean = 0.0
-        for i in range(duration.size):
+        part[:] = 0.0
+        for i in range(duration.size + 1):
+            if i == duration.size or fresh[i]:
+                if part[0] > 0.0:
+                    vb, sb, fb = part[1], part[2], part[3]
+                    out[0, k] -= vb * vb / part[0]
+                    out[1, k] -= vb * sb / part[0]
+                    out[2, k] -= sb * sb / part[0]
+                    out[3, k] -= vb * fb / part[0]
+                    out[4, k] -= sb * fb / part[0]
+                    out[5, k] -= fb * fb / part[0]
+                if i == duration.size:
+                    break
+                part[:] = 0.0
+                s = 0.0
+                before = 1.0
             h = duration[i]
             if abs(h - known) > _SAME * h:
                 known = h
@@ -62,9 +93,56 @@ def _products(duration, travel, force, count, times, out):  # type: ignore[no-un
             out[3, k] += w * v * force[i]
             out[4, k] += w * stretch * force[i]
             out[5, k] += w * force[i] * force[i]
+            if before > 0.0:
+                decayed = mean * before
+                before *= left
+                part[0] += w * decayed * decayed
+                part[1] += w * v * decayed
+                part[2] += w * stretch * decayed
+                part[3] += w * force[i] * decayed
 
 
-def identify(trials: Sequence[FitTrial]) -> ThreeElement:
+def _contacts(
+    travel: FloatArray, force: FloatArray, count: FloatArray, noise: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """
+    Tell when a tool that goes to and fro leaves the object and touches it again.
+
+    Parameters
+    ----------
+    travel, force, count : ndarray, shape (n,)
+        How far the tool goes on in each step of a push [m], the force [N], and how many samples
+        it is the mean of.
+    noise : float
+        Standard deviation of a sample [N].
+
+    Returns
+    -------
+    count : ndarray, shape (n,)
+        None for steps in the air, and for those beside them.
+    fresh : ndarray of bool, shape (n,)
+        The first step of each contact but the first one.
+
+    """
+    reached = np.cumsum(travel)
+    deepest = np.maximum.accumulate(reached)
+    # A force that is gone where the tool is at its deepest has relaxed.
+    away = (np.abs(force) < _IN_AIR * noise) & (deepest - reached > _BACK * deepest[-1])
+    away[: int(np.argmax(force > _PRESSED * noise))] = False
+    kept = count.copy()
+    fresh = np.zeros(force.size, dtype=np.bool_)
+    for first, last in runs(away):
+        if last - first < _STEPS_IN_AIR:
+            continue
+        beside = slice(max(first - 1, 0), last + 1)
+        kept[beside] = 0.0
+        if last + 1 < force.size:
+            # The step after it may hold the touch.
+            fresh[last + 1] = True
+    return kept, fresh
+
+
+def identify(trials: Sequence[FitTrial], noise: float = 0.0) -> ThreeElement:
     """
     Return the three-element model that follows the force of push and hold best.
 
@@ -72,6 +150,9 @@ def identify(trials: Sequence[FitTrial]) -> ThreeElement:
     ----------
     trials : sequence of FitTrial
         At least one.
+    noise : float, default 0
+        Standard deviation of a sample of the force [N], which tells where a tool that goes to and
+        fro is in the air.
 
     Returns
     -------
@@ -88,7 +169,10 @@ def identify(trials: Sequence[FitTrial]) -> ThreeElement:
         if duration.size < 4:
             continue
         travel = np.diff(trial.displacement)[inside]
-        pieces.append((duration, travel, trial.force[inside], trial.force_count[inside]))
+        force = trial.force[inside]
+        pieces.append(
+            (duration, travel, force, *_contacts(travel, force, trial.force_count[inside], noise))
+        )
         longest = max(longest, float(duration.sum()))
         shortest = min(shortest, trial.interval)
     if not pieces:

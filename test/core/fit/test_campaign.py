@@ -440,3 +440,29 @@ def test_a_slow_body_is_found_though_slow_encoders_make_its_force_jump() -> None
     result = fit([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
     for name in ('K1', 'C1', 'C2'):
         assert result.parameters[name].value == pytest.approx(getattr(body, name), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ('body', 'swing'),
+    [
+        (specimen.Body(2100.0, 12_200.0, 84_000.0), 0.0008),
+        (specimen.Body(608.0, 156.0, 326.0), 0.0075),
+    ],
+    ids=['slow', 'quick'],
+)
+def test_a_tool_that_leaves_the_object_and_comes_again_tells_it(
+    body: specimen.Body, swing: float
+) -> None:
+    """Taken for a contact that lasts, the force of the air would have been that of the object."""
+    pushes = tuple(
+        campaigns.Push(speed, depth, 5.0, 4.0, swings=4, swing=swing)
+        for speed, depth in ((0.001, 0.0015), (0.002, 0.006), (0.004, 0.003))
+    )
+    sensors = campaigns.Sensors(campaigns.ForceNoise(0.005), 3e-5)
+    cell = campaigns.Campaign(body, pushes, sensors)
+    ran = campaigns.run(cell, [], seed=4)
+    pairs = [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in ran.trials]
+    result = fit(pairs)
+    found = np.exp(result.theta[:3])
+    assert found == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
+    assert result.noise.force.std == pytest.approx(0.005, rel=0.1)
