@@ -128,8 +128,13 @@ class TrialStreams:
         elif clouds is not None and displacement_from_points:
             # What plans a contact takes longer to import than to read a bag that needs none of it.
             from hapticvision_ros.core.displacement import displacement_from_clouds
+            from hapticvision_ros.core.segmentation import segment
 
-            displacement, assumed = displacement_from_clouds(clouds, tool_height)
+            displacement, assumed = displacement_from_clouds(
+                clouds,
+                tool_height,
+                touched=lambda: segment(force, tool_height).contact_height,
+            )
             told += assumed
             source = 'none' if displacement is None else 'points'
         else:

@@ -25,9 +25,10 @@ a fit to some thousand of them. Close-ups that show the top of the object alone 
 follow: their heights are taken as they are.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Final
+import math
+from typing import Final, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
@@ -76,6 +77,12 @@ _FEWEST_DOWN: Final = 5
 _WITH_TOOL: Final = 0.6
 """Part of its deepest way below which a tool is down, frames that tell it, and the part of its
 depth by which a surface that it presses goes down as well."""
+_DENT_FRAMES: Final = 6
+"""Frames before the push, with the tool down and after it that the dent is looked for in."""
+_DOWN_TO: Final = 0.05
+"""Part of its way within which a tool is at its deepest."""
+_ASTRAY: Final = 0.02
+"""How far from where it was planned a tool may have pushed [m]."""
 _LEAST_TOLD: Final = 8
 """Fewest heights that tell their own noise."""
 
@@ -169,6 +176,8 @@ class DisplacementTracker:
     lowest_tool_height : float, optional
         How low the tool has been before the first frame [m]: what it has pushed is no original
         surface.
+    original_height : float, optional
+        Height of the surface before the push [m], where no frame shows it.
 
     """
 
@@ -180,6 +189,7 @@ class DisplacementTracker:
         rotation: FloatArray | None = None,
         shift: FloatArray | None = None,
         lowest_tool_height: float = np.inf,
+        original_height: float | None = None,
     ) -> None:
         self._x, self._y = (np.float32(item) for item in contact_axis)
         self._settings = settings
@@ -194,14 +204,27 @@ class DisplacementTracker:
         self._counts: list[float] = []
         self._pushed = False
         self._lowest_tool_height = lowest_tool_height
+        self._original_height = original_height
         self._reason = 'no frame has come yet'
 
     @property
     def original_height(self) -> float | None:
         """Height of the surface before the push [m], or None before enough frames."""
+        if self._original_height is not None:
+            return self._original_height
         if len(self._heights) < self._settings.least_frames:
             return None
         return float(np.median(self._heights))
+
+    @property
+    def axis(self) -> tuple[float, float]:
+        """Where the vertical through the contact point is, x and y [m]."""
+        return float(self._x), float(self._y)
+
+    def near(self, xyz: PointArray, radius: float) -> PointArray:
+        """Return the returns of a frame within a radius of the axis [m], shape (n, 3)."""
+        points = self.levelled(finite_points(xyz))
+        return points[self._distance(points) < radius**2]
 
     @property
     def pushed(self) -> bool:
@@ -270,7 +293,7 @@ class DisplacementTracker:
         if original is None:
             self._reason = 'the surface was not seen often enough before the push'
             return None
-        if whole < settings.least_share * float(np.median(self._counts)):
+        if self._counts and whole < settings.least_share * float(np.median(self._counts)):
             self._reason = 'the tool hides most of the contact point'
             return None
         self._reason = ''
@@ -290,7 +313,7 @@ class DisplacementTracker:
             return 1.0
         else:
             points = xyz[:: max(len(xyz) // _FLAT_SAMPLE, 1)]
-        ground = self._levelled(finite_points(points)).astype(np.float64)
+        ground = self.levelled(finite_points(points)).astype(np.float64)
         share = 1.0
         if self._plane_pixels is None:
             ground = ground[np.abs(ground[:, 2] - self._level_at(ground)) < LARGEST_OFFSET]
@@ -350,7 +373,7 @@ class DisplacementTracker:
         """Return the heights of the points within the patch's radius of the contact axis [m]."""
         settings = self._settings
         points = xyz if self._region is None else self._window(xyz[self._region])
-        points = self._levelled(points)
+        points = self.levelled(points)
         with np.errstate(over='ignore', invalid='ignore'):
             patch = points[self._distance(points) < settings.patch_radius**2]
             # A comparison drops NaN, but not a return at minus infinity.
@@ -373,7 +396,7 @@ class DisplacementTracker:
         """Return H below a tool that these clouds do not show; None if they may show it."""
         original = self.original_height
         # Only of a record is it looked at how noisy heights are, and no tool is sent by it.
-        if not self._settings.noise or original is None:
+        if not self._settings.noise or original is None or not self._counts:
             return None
         if patch.size / seen < _WHOLE * float(np.median(self._counts)):
             return None
@@ -384,7 +407,7 @@ class DisplacementTracker:
 
     def _window(self, region: PointArray) -> PointArray:
         """Return the part of the region in which a look at every sixth pixel finds the patch."""
-        coarse = self._levelled(region[::_STRIDE, ::_STRIDE])
+        coarse = self.levelled(region[::_STRIDE, ::_STRIDE])
         with np.errstate(over='ignore', invalid='ignore'):
             near = self._distance(coarse) < (_WIDER * self._settings.patch_radius) ** 2
         rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
@@ -407,7 +430,7 @@ class DisplacementTracker:
         self._region, self._plane_pixels = None, None
         if xyz.ndim != 3:
             return
-        points = self._levelled(xyz)
+        points = self.levelled(xyz)
         with np.errstate(over='ignore', invalid='ignore'):
             near = self._distance(points) < settings.region_radius**2
             ground = np.abs(points[..., 2]) < LARGEST_OFFSET
@@ -426,7 +449,8 @@ class DisplacementTracker:
             step = max(pixels.size // settings.plane_pixels, 1)
             self._plane_pixels = pixels[::step]
 
-    def _levelled(self, points: PointArray) -> PointArray:
+    def levelled(self, points: PointArray) -> PointArray:
+        """Return points [m] in the frame of the support plane."""
         if self._rotation is None or self._shift is None:
             return points
         with np.errstate(over='ignore', invalid='ignore'):
@@ -445,6 +469,7 @@ def displacement_from_clouds(
     tool_height: Signal,
     *,
     contact_point: tuple[float, float, float] | None = None,
+    touched: Callable[[], float | None] | None = None,
     settings: DisplacementSettings = OF_RECORDS,
 ) -> tuple[Signal | None, tuple[str, ...]]:
     """
@@ -452,19 +477,23 @@ def displacement_from_clouds(
 
     The contract's clouds are in the frame `support_plane`, z up and z = 0 on the plane. The plane
     is estimated all the same: a cloud in some other frame (a sensor's own) is brought into the
-    plane's frame, with a warning. Without a given contact point, it is where the vertical through
-    the mass centre of the object's top view meets the surface. Close-ups, which show the top of
-    the object alone, are taken to be in the contract's frame if that puts their surface where the
-    tool was, and the contact point in the middle of what they show.
+    plane's frame, with a warning. Without a given contact point, it is in the middle of the dent
+    that the tool has left, or if that is not clear where the vertical through the mass centre of
+    the object's top view meets the surface. Close-ups, which show the top of the object alone,
+    are taken to be in the contract's frame if that puts their surface where the tool was, and the
+    contact point in the middle of what they show.
 
     Parameters
     ----------
     frames : iterable of CloudFrame
-        The trial's clouds in order of time, read once.
+        The trial's clouds in order of time. What can be read only once shows no dent.
     tool_height : Signal
         Height of the tool tip above the support plane [m].
     contact_point : tuple of float, optional
         The contact point [m] in the frame `support_plane`, where it was recorded.
+    touched : callable, optional
+        Returns the height of the tool tip at which it touched the object [m], or None: that of
+        the original surface where the tool hides it until then.
     settings : DisplacementSettings
         What counts as the surface.
 
@@ -478,6 +507,90 @@ def displacement_from_clouds(
     """
     if not len(tool_height):
         return None, ('The clouds give no displacement height: there is no tool height.',)
+    again = contact_point is None and iter(frames) is not frames
+    dent = _Dent(tool_height) if again else None
+    followed = _follow(frames, tool_height, contact_point, settings, dent=dent)
+    axis = None if dent is None or followed.tracker is None else dent.axis(followed.tracker)
+    if axis is not None:
+        # What hid the object from being planned for hides it still.
+        begun = followed.begun
+        followed = _follow(frames, tool_height, None, settings, axis=axis, begin=begun)
+        tracker = followed.tracker
+        if touched is not None and tracker is not None and tracker.original_height is None:
+            original = touched()
+            if original is not None:
+                followed = _follow(
+                    frames,
+                    tool_height,
+                    None,
+                    settings,
+                    axis=axis,
+                    begin=begun,
+                    original=original,
+                )
+    return _told(followed, tool_height)
+
+
+class _Followed(NamedTuple):
+    """What the clouds of a trial show at the contact point."""
+
+    times: list[float]
+    heights: list[float]
+    tools: list[float]
+    tracker: DisplacementTracker | None
+    near: DisplacementSettings | None
+    begun: float
+    used: int
+    warnings: list[str]
+    refusal: str
+
+
+class _Dent:
+    """Keeps the few frames of a trial that tell where the dent is."""
+
+    def __init__(self, tool_height: Signal) -> None:
+        t, height = tool_height.t, tool_height.value
+        lowest = float(np.nanmin(height))
+        down = t[height <= lowest + _DOWN_TO * (float(np.nanmax(height)) - lowest)]
+        after = np.linspace(down[-1], t[-1], _DENT_FRAMES + 2)[1:-1]
+        held = np.linspace(down[0], down[-1], _DENT_FRAMES + 2)[1:-1]
+        self._due = sorted([*held.tolist(), *after.tolist()])
+        self._first = float(down[0])
+        self._before: list[tuple[PointArray, float]] = []
+        self._with_dent: list[tuple[PointArray, float]] = []
+
+    def take(self, frame: CloudFrame, tool: float, tracker: DisplacementTracker) -> None:
+        """Keep a frame if it is one of them."""
+        if not self._due or not np.isfinite(tool):
+            return
+        if len(self._before) < _DENT_FRAMES and not tracker.pushed and frame.t < self._first:
+            kept = self._before
+        elif frame.t >= self._due[0]:
+            kept = self._with_dent
+            self._due = [t for t in self._due if t > frame.t]
+        else:
+            return
+        kept.append((tracker.near(frame.xyz, 2.0 * _ASTRAY), tool))
+
+    def axis(self, tracker: DisplacementTracker) -> tuple[float, float] | None:
+        """Return the axis of the dent [m]; None if it is not clear, or that of the tracker."""
+        from hapticvision_ros.core.scene.dent import find_dent_axis
+
+        return find_dent_axis(self._before, self._with_dent, tracker.axis, _ASTRAY)
+
+
+def _follow(
+    frames: Iterable[CloudFrame],
+    tool_height: Signal,
+    contact_point: tuple[float, float, float] | None,
+    settings: DisplacementSettings,
+    *,
+    axis: tuple[float, float] | None = None,
+    begin: float = -math.inf,
+    original: float | None = None,
+    dent: _Dent | None = None,
+) -> _Followed:
+    """Follow the surface at the contact point, or at an axis that the dent tells."""
     first, last = float(tool_height.t[0]), float(tool_height.t[-1])
     times: list[float] = []
     heights: list[float] = []
@@ -486,54 +599,68 @@ def displacement_from_clouds(
     tracker: DisplacementTracker | None = None
     refusal = 'there is no cloud within the record of the tool height'
     used = 0
+    begun = math.inf
     near: DisplacementSettings | None = None
     plane: SupportPlane | None = None
     for frame in frames:
         if not first <= frame.t <= last or (times and frame.t <= times[-1]):
             continue
         used += 1
+        if frame.t < begin:
+            continue
         tool = float(tool_height.at(np.array([frame.t]))[0])
         if tracker is None:
             try:
                 # The object may be hidden in the frames before.
                 passed = tool_height.value[tool_height.t <= frame.t]
                 lowest = float(np.nanmin(passed, initial=np.inf))
-                close_up = _close_up(frame.xyz, tool_height, contact_point, settings)
+                close_up = _close_up(frame.xyz, tool_height, contact_point, axis, settings)
                 if close_up is not None:
-                    axis, near, warnings = close_up
-                    tracker = DisplacementTracker(axis, near, lowest_tool_height=lowest)
+                    middle, near, warnings = close_up
+                    tracker = DisplacementTracker(
+                        middle, near, lowest_tool_height=lowest, original_height=original
+                    )
                 else:
                     points = finite_points(frame.xyz)
                     if plane is None or not still_supports(plane, points):
                         plane = fit_support_plane(points)
                     tracker, warnings = _set_up(
-                        frame.xyz, tool, lowest, contact_point, plane, settings
+                        frame.xyz, tool, lowest, contact_point, plane, settings, axis, original
                     )
             except InputError as error:
                 text = str(error).rstrip('.')
                 refusal = text[:1].lower() + text[1:]
                 continue
+            begun = frame.t
         height = tracker.update(frame.xyz, tool)
+        if dent is not None:
+            dent.take(frame, tool, tracker)
         if height is not None:
             times.append(frame.t)
             heights.append(height)
             tools.append(tool)
+    return _Followed(times, heights, tools, tracker, near, begun, used, warnings, refusal)
+
+
+def _told(followed: _Followed, tool_height: Signal) -> tuple[Signal | None, tuple[str, ...]]:
+    """Return H if what was followed tells it, and what was assumed or why it does not."""
+    warnings, tracker, near = followed.warnings, followed.tracker, followed.near
     if tracker is None:
-        return None, (f'The clouds give no displacement height: {refusal}.',)
+        return None, (f'The clouds give no displacement height: {followed.refusal}.',)
     if tracker.original_height is None:
         return None, (
             *warnings,
             'The clouds give no displacement height: the surface at the contact point was not '
             'seen before the push.',
         )
-    if len(times) < 2:
+    if len(followed.times) < 2:
         return None, (
             *warnings,
             'The clouds give no displacement height: the surface at the contact point was seen '
-            f'free of the tool in {len(times)} of {used} frames.',
+            f'free of the tool in {len(followed.times)} of {followed.used} frames.',
         )
-    found = Signal(np.array(times), np.array(heights))
-    if is_elsewhere(found.value, tracker.original_height - np.array(tools)):
+    found = Signal(np.array(followed.times), np.array(followed.heights))
+    if is_elsewhere(found.value, tracker.original_height - np.array(followed.tools)):
         return None, (*warnings, ELSEWHERE)
     if near is not None:
         pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
@@ -602,6 +729,7 @@ def _close_up(
     xyz: PointArray,
     tool_height: Signal,
     contact_point: tuple[float, float, float] | None,
+    dent: tuple[float, float] | None,
     settings: DisplacementSettings,
 ) -> tuple[tuple[float, float], DisplacementSettings, list[str]] | None:
     """
@@ -621,7 +749,9 @@ def _close_up(
         return None
     lowest, highest = float(np.nanmin(tool_height.value)), float(np.nanmax(tool_height.value))
     low = max(0.5 * lowest, LARGEST_OFFSET)
-    if contact_point is not None:
+    if dent is not None:
+        axis = np.array(dent)
+    elif contact_point is not None:
         axis = np.array(contact_point[:2])
     else:
         # Returns that are lost, and single odd ones, move this less than they do the mean.
@@ -647,7 +777,9 @@ def _close_up(
         'The clouds show no support plane: their z was taken as the height above it, since the '
         'tool came from above the surface that they show and went below it'
     )
-    if contact_point is None:
+    if dent is not None:
+        warning += f', and {_in_the_dent(dent)}'
+    elif contact_point is None:
         warning += (
             ', and the contact point in the middle of what they show: '
             f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm'
@@ -662,6 +794,8 @@ def _set_up(
     contact_point: tuple[float, float, float] | None,
     plane: SupportPlane,
     settings: DisplacementSettings,
+    dent: tuple[float, float] | None,
+    original: float | None,
 ) -> tuple[DisplacementTracker, list[str]]:
     """Return a tracker for the clouds that begin with `xyz`, and what had to be assumed."""
     warnings: list[str] = []
@@ -677,7 +811,11 @@ def _set_up(
             'they were brought into the frame of that plane.'
         )
         plane = replace(plane, normal=VERTICAL, offset=0.0)
-    if contact_point is not None and rotation is None:
+    if dent is not None:
+        axis = dent
+        told = _in_the_dent(dent)
+        warnings.append(f'{told[:1].upper()}{told[1:]} in the frame of the support plane.')
+    elif contact_point is not None and rotation is None:
         axis = contact_point[:2]
     else:
         planning = replace(DEFAULT_PLANNING, least_patch_points=settings.least_points)
@@ -697,6 +835,19 @@ def _set_up(
     points[:, :2] -= axis
     settings = _by_noise(points, tool_height, settings)
     tracker = DisplacementTracker(
-        axis, settings, rotation=rotation, shift=shift, lowest_tool_height=lowest
+        axis,
+        settings,
+        rotation=rotation,
+        shift=shift,
+        lowest_tool_height=lowest,
+        original_height=original,
     )
     return tracker, warnings
+
+
+def _in_the_dent(axis: tuple[float, float]) -> str:
+    """Say that the contact point was taken in the dent."""
+    return (
+        'the contact point was taken in the middle of the dent that the tool left: '
+        f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm'
+    )

@@ -15,6 +15,7 @@
 """The displacement height H from clouds that the tests make."""
 
 from dataclasses import replace
+import re
 
 from hapticvision_ros.core import displacement
 from hapticvision_ros.core.displacement import (
@@ -40,7 +41,7 @@ ELEVATION = np.deg2rad(40.0)
 HEIGHT_STD = 1.25 * NOISE * np.sin(ELEVATION) / np.sqrt(60.0)
 
 
-def view(dent, tool_height, seed, shape=(240, 320)):
+def view(dent, tool_height, seed, shape=(240, 320), axis=AXIS):
     """Return an oblique parallel view of a block with a flat dent below a cylinder."""
     forward = np.array([0.0, np.cos(ELEVATION), -np.sin(ELEVATION)])
     up = np.array([0.0, np.sin(ELEVATION), np.cos(ELEVATION)])
@@ -59,7 +60,7 @@ def view(dent, tool_height, seed, shape=(240, 320)):
         return depth, origin + depth[..., None] * forward
 
     def from_axis(points):
-        return np.hypot(points[..., 0] - AXIS[0], points[..., 1] - AXIS[1])
+        return np.hypot(points[..., 0] - axis[0], points[..., 1] - axis[1])
 
     depth, _ = at_height(0.0)
     wall_depth = (AXIS[1] - 0.03 - origin[..., 1]) / forward[1]
@@ -74,8 +75,8 @@ def view(dent, tool_height, seed, shape=(240, 320)):
     in_dent = (from_axis(floor) < RADIUS) & (from_axis(top) < RADIUS)
     depth = np.where(in_dent, dent_depth, depth)
     a = forward[1] ** 2
-    b = 2.0 * (origin[..., 1] - AXIS[1]) * forward[1]
-    c = (origin[..., 0] - AXIS[0]) ** 2 + (origin[..., 1] - AXIS[1]) ** 2 - RADIUS**2
+    b = 2.0 * (origin[..., 1] - axis[1]) * forward[1]
+    c = (origin[..., 0] - axis[0]) ** 2 + (origin[..., 1] - axis[1]) ** 2 - RADIUS**2
     discriminant = b * b - 4.0 * a * c
     tool_depth = (-b - np.sqrt(np.maximum(discriminant, 0.0))) / (2.0 * a)
     tool_z = origin[..., 2] + tool_depth * forward[2]
@@ -307,7 +308,7 @@ def test_a_trial_is_followed_from_its_clouds(clouds, tool_height):
 
 
 def test_without_a_contact_point_it_is_planned_and_told(clouds, tool_height):
-    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    signal, warnings = displacement_from_clouds(iter(clouds), tool_height)
     assert len(warnings) == 1
     assert 'The contact point was taken where' in warnings[0]
     truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
@@ -460,13 +461,16 @@ def test_an_arm_before_the_object_is_not_taken_for_it(clouds, tool_height):
     first[first[..., 2] > 0.004] = np.nan
     arm = (np.abs(first[..., 0] - 0.02) < 0.03) & (np.abs(first[..., 1] + 0.04) < 0.02)
     first[arm, 2] = 0.12
-    signal, warnings = displacement_from_clouds(
-        [CloudFrame(clouds[0].t, first, 'support_plane'), *clouds[1:]], tool_height
-    )
-    expected, told = displacement_from_clouds(clouds[1:], tool_height)
+    hidden = [CloudFrame(clouds[0].t, first, 'support_plane'), *clouds[1:]]
+    signal, warnings = displacement_from_clouds(iter(hidden), tool_height)
+    expected, told = displacement_from_clouds(iter(clouds[1:]), tool_height)
     assert warnings == told
     # Its support plane is used, which differs by less than a micrometre; an arm is 75 mm high.
     assert np.abs(signal.value - expected.value).max() < 2e-6
+    # Nor is a dent looked for where the object was hidden.
+    by_dent, warnings = displacement_from_clouds(hidden, tool_height)
+    assert 'of the dent' in warnings[-1]
+    assert by_dent.t == pytest.approx(signal.t)
 
 
 def test_the_plane_is_looked_for_once_while_the_surface_is_hidden(
@@ -542,6 +546,47 @@ def test_a_surface_that_stays_above_the_tool_is_not_the_one_that_it_presses(tool
     signal, warnings = displacement_from_clouds(clouds, tool_height, contact_point=beside)
     assert signal is None
     assert 'stays above the tool' in warnings[-1]
+
+
+PUSHED = (AXIS[0] + 0.007, AXIS[1] - 0.004)
+"""Where a tool pushes that misses the middle of the object."""
+
+
+def test_a_record_tells_by_its_dent_where_the_tool_has_pushed(tool_height):
+    clouds = [
+        CloudFrame(t, view(dent, tool, seed, axis=PUSHED), 'support_plane')
+        for seed, (t, tool, dent) in enumerate(trial())
+    ]
+    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    found = re.search(r'of the dent that the tool left: x = (\S+) mm, y = (\S+) mm', warnings[-1])
+    assert found is not None
+    assert 1e-3 * np.array([float(item) for item in found.groups()]) == pytest.approx(
+        PUSHED, abs=5e-4
+    )
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+    # What can be read only once is not looked at twice.
+    _, warnings = displacement_from_clouds(iter(clouds), tool_height)
+    assert 'mass centre of the top view' in warnings[-1]
+
+
+def test_where_the_tool_hides_the_surface_its_touch_tells_the_original_height(tool_height):
+    """The surface at the contact point is in no frame before the push."""
+    clouds = []
+    for seed, (t, tool, dent) in enumerate(trial()):
+        xyz = view(dent, tool, seed, axis=PUSHED)
+        if t < 4.4:
+            with np.errstate(invalid='ignore'):
+                xyz[np.hypot(xyz[..., 0] - PUSHED[0], xyz[..., 1] - PUSHED[1]) < 0.006] = np.nan
+        clouds.append(CloudFrame(t, xyz, 'support_plane'))
+    unseen, warnings = displacement_from_clouds(clouds, tool_height)
+    assert unseen is None
+    assert 'was not seen before the push' in warnings[-1]
+    signal, _ = displacement_from_clouds(clouds, tool_height, touched=lambda: TOP)
+    assert np.all(signal.t > 4.4)
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 5.0 * HEIGHT_STD
+    assert displacement_from_clouds(clouds, tool_height, touched=lambda: None)[0] is None
 
 
 def test_a_driver_takes_no_dent_below_the_tool():

@@ -800,7 +800,9 @@ def _prepare(
         # The record of the force may have a gap where the tool touched.
         onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std),
         has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
-        has_height_zero=int(np.count_nonzero(height_t < touch)) >= 3,
+        # Where the tool hides the surface until it touches it, that is where its height is from.
+        has_height_zero=trial.displacement_source == 'points'
+        or int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,
         t_release=phases.t_release,
         eventful=eventful,

@@ -1,0 +1,150 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Where a tool has pushed, from the dent that it left in what the range sensor shows.
+
+A round tool makes a dent whose depth falls with the distance from its axis, whatever its profile.
+The axis is that around which a falling profile of any form follows the depths best: parts of the
+dent that are hidden, as behind a rim, do not pull it aside as they would pull its mass centre.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from hapticvision_ros.core.records import FloatArray, PointArray
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from scipy.optimize import isotonic_regression, minimize
+from scipy.spatial import QhullError
+
+_FEWEST: Final = 20
+"""Fewest depths that tell an axis."""
+_DEEP: Final = 0.98
+"""Quantile of its depths that is taken for how deep a dent is."""
+_FINELY: Final = 1e-5
+"""How finely the axis is looked for [m]."""
+_LOOKS: Final = 9
+"""Axes that are tried along each side of the region, before the best is refined."""
+_CLEAR: Final = 3.0
+"""Depth of a dent that tells its axis, in standard deviations of the depths around its profile."""
+_TOLD: Final = 20.0
+"""Gain in the deviance of one frame that tells an axis from the one that was planned."""
+_EDGE: Final = 4e-3
+"""What was lower by more than this beside the axis is no top of the object [m]."""
+_ABOVE: Final = 1e-3
+"""What is higher than the original surface by more is the tool [m]."""
+_MOST_ABOVE: Final = 0.01
+"""Share of the points that may be so high by chance, as at edges."""
+
+
+def find_dent_axis(
+    before: Sequence[tuple[PointArray | FloatArray, float]],
+    after: Sequence[tuple[PointArray | FloatArray, float]],
+    start: tuple[float, float],
+    reach: float,
+) -> tuple[float, float] | None:
+    """
+    Find the vertical axis of a dent.
+
+    Parameters
+    ----------
+    before, after : sequence of (ndarray, float)
+        Points of the surface before the push and with the dent, shape (n, 3), z up, and the
+        height of the tool's tip then [m].
+    start : tuple of float
+        Where the axis was thought to be [m].
+    reach : float
+        How far from there it may be, and the radius within which the dent is looked at [m].
+
+    Returns
+    -------
+    tuple of float or None
+        x and y of the axis [m]; None where there is no clear dent, or where the one at `start`
+        is as good.
+
+    """
+    # Higher up may be the tool.
+    original = _within(
+        [points[points[:, 2] < tool] for points, tool in before], start, 2.0 * reach
+    )
+    if len(original) < _FEWEST:
+        return None
+    level = float(np.median(_within([original], start, 0.5 * reach)[:, 2]))
+    try:
+        surface = LinearNDInterpolator(original[:, :2] - start, original[:, 2])
+    except QhullError:
+        return None
+    dents = []
+    for points, tool in after:
+        near = _within([points], start, reach)
+        place = near[:, :2] - start
+        was = surface(place)
+        depth = was - near[:, 2]
+        known = np.isfinite(depth) & (was > level - _EDGE)
+        above = known & (depth < -_ABOVE)
+        if tool < level + _ABOVE and np.count_nonzero(above) > _MOST_ABOVE * depth.size:
+            # What of it is below the original surface is none of the dent.
+            continue
+        known &= ~above
+        if np.count_nonzero(known) >= _FEWEST:
+            dents.append((place[known], depth[known]))
+    if not dents:
+        return None
+
+    def squares(axis: FloatArray) -> float:
+        total = 0.0
+        for place, depth in dents:
+            order = np.argsort(np.hypot(*(place - axis).T))
+            profile = isotonic_regression(depth[order], increasing=False).x
+            total += float(np.sum((depth[order] - profile) ** 2))
+        return total
+
+    ticks = np.linspace(-reach, reach, _LOOKS)
+    looks = [np.array([x, y]) for x in ticks for y in ticks if np.hypot(x, y) <= reach]
+    begin = min(looks, key=squares)
+    triangle = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
+    found = minimize(
+        squares,
+        begin,
+        method='Nelder-Mead',
+        options={
+            'initial_simplex': begin + 0.25 * (ticks[1] - ticks[0]) * triangle,
+            'xatol': _FINELY,
+            'fatol': np.inf,
+        },
+    )
+    count = sum(depth.size for _, depth in dents)
+    noise = np.sqrt(found.fun / count)
+    if noise <= 0.0:
+        return None
+    deepest = max(float(np.quantile(depth, _DEEP)) for _, depth in dents)
+    if (
+        deepest < _CLEAR * noise
+        or np.hypot(*found.x) > reach
+        or count / len(dents) * np.log(squares(np.zeros(2)) / found.fun) < _TOLD
+    ):
+        return None
+    return float(start[0] + found.x[0]), float(start[1] + found.x[1])
+
+
+def _within(
+    clouds: Sequence[PointArray | FloatArray], axis: tuple[float, float], radius: float
+) -> FloatArray:
+    """Return the points of clouds within a radius of an axis [m]."""
+    if not clouds:
+        return np.empty((0, 3))
+    points = np.concatenate([np.asarray(cloud, dtype=np.float64) for cloud in clouds])
+    near: FloatArray = points[np.hypot(*(points[:, :2] - axis).T) < radius]
+    return near
