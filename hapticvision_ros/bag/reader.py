@@ -37,7 +37,7 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.bag.mcap_scan import McapScanner
 from hapticvision_ros.bag.streams import CloudStream, NumberStream, TextStream, WrenchStream
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.records import DisplacementSource, Trial
+from hapticvision_ros.core.records import DisplacementSource, Signal, Trial
 
 
 class TrialStreams:
@@ -128,12 +128,11 @@ class TrialStreams:
         elif clouds is not None and displacement_from_points:
             # What plans a contact takes longer to import than to read a bag that needs none of it.
             from hapticvision_ros.core.displacement import displacement_from_clouds
-            from hapticvision_ros.core.segmentation import segment
 
             displacement, assumed = displacement_from_clouds(
                 clouds,
                 tool_height,
-                touched=lambda: segment(force, tool_height).contact_height,
+                touched=lambda: _touched(force, tool_height),
             )
             told += assumed
             source = 'none' if displacement is None else 'points'
@@ -155,6 +154,16 @@ class TrialStreams:
             warnings=tuple(told),
             provenance=MappingProxyType(dict(provenance)),
         )
+
+
+def _touched(force: Signal, tool_height: Signal) -> float | None:
+    """Return the height of the tool tip at which it touched the object [m]; None if unknown."""
+    from hapticvision_ros.core.segmentation import segment
+
+    try:
+        return segment(force, tool_height).contact_height
+    except InputError:
+        return None
 
 
 def read_trial(path: Path, *, displacement_from_points: bool = True) -> Trial:

@@ -79,6 +79,12 @@ _WITH_TOOL: Final = 0.6
 depth by which a surface that it presses goes down as well."""
 _DENT_FRAMES: Final = 6
 """Frames before the push, with the tool down and after it that the dent is looked for in."""
+_DENT_POINTS: Final = 1500
+"""Points that are kept of each of them, about."""
+_AS_PLANNED: Final = 1e-3
+"""A tool that is nearer to where it was planned pushed there [m]."""
+_NEAR_LEVEL: Final = 4e-3
+"""How far from the heights around the contact point a touch may be [m]."""
 _DOWN_TO: Final = 0.05
 """Part of its way within which a tool is at its deepest."""
 _ASTRAY: Final = 0.02
@@ -223,8 +229,12 @@ class DisplacementTracker:
 
     def near(self, xyz: PointArray, radius: float) -> PointArray:
         """Return the returns of a frame within a radius of the axis [m], shape (n, 3)."""
-        points = self.levelled(finite_points(xyz))
-        return points[self._distance(points) < radius**2]
+        points = self.levelled(finite_points(xyz)).copy()
+        with np.errstate(over='ignore', invalid='ignore'):
+            points = points[self._distance(points) < radius**2]
+        # Over the plane as this frame shows it.
+        points[:, 2] -= self._level_at(points)
+        return points
 
     @property
     def pushed(self) -> bool:
@@ -493,7 +503,7 @@ def displacement_from_clouds(
         The contact point [m] in the frame `support_plane`, where it was recorded.
     touched : callable, optional
         Returns the height of the tool tip at which it touched the object [m], or None: that of
-        the original surface where the tool hides it until then.
+        the original surface where the tool hides it until then and the dent tells where it is.
     settings : DisplacementSettings
         What counts as the surface.
 
@@ -510,25 +520,62 @@ def displacement_from_clouds(
     again = contact_point is None and iter(frames) is not frames
     dent = _Dent(tool_height) if again else None
     followed = _follow(frames, tool_height, contact_point, settings, dent=dent)
-    axis = None if dent is None or followed.tracker is None else dent.axis(followed.tracker)
-    if axis is not None:
-        # What hid the object from being planned for hides it still.
-        begun = followed.begun
-        followed = _follow(frames, tool_height, None, settings, axis=axis, begin=begun)
-        tracker = followed.tracker
-        if touched is not None and tracker is not None and tracker.original_height is None:
-            original = touched()
-            if original is not None:
-                followed = _follow(
-                    frames,
-                    tool_height,
-                    None,
-                    settings,
-                    axis=axis,
-                    begin=begun,
-                    original=original,
-                )
-    return _told(followed, tool_height)
+    told = _told(followed, tool_height)
+    view = followed.view
+    axis = None if dent is None or view is None else dent.axis(view.axis)
+    if dent is None or view is None or axis is None:
+        return told
+    view = view._replace(axis=axis, place=_in_the_dent(axis))
+    followed = _follow(frames, tool_height, None, settings, view=view)
+    tracker = followed.tracker
+    if touched is not None and tracker is not None and tracker.original_height is None:
+        original, level = touched(), dent.level(axis)
+        if original is not None and level is not None and abs(original - level) < _NEAR_LEVEL:
+            followed = _follow(
+                frames, tool_height, None, settings, view=view._replace(original=original)
+            )
+    by_dent = _told(followed, tool_height)
+    # A dent that is not where the tool pressed is none.
+    return told if ELSEWHERE in by_dent[1] else by_dent
+
+
+class _View(NamedTuple):
+    """How clouds are looked at, from which time on, and where."""
+
+    axis: tuple[float, float]
+    settings: DisplacementSettings
+    rotation: FloatArray | None
+    shift: FloatArray | None
+    lowest: float
+    begun: float
+    close_up: bool
+    warnings: tuple[str, ...]
+    place: str
+    original: float | None = None
+
+    def tracker(self) -> DisplacementTracker:
+        """Return what follows the surface."""
+        return DisplacementTracker(
+            self.axis,
+            self.settings,
+            rotation=self.rotation,
+            shift=self.shift,
+            lowest_tool_height=self.lowest,
+            original_height=self.original,
+        )
+
+    @property
+    def told(self) -> list[str]:
+        """Return what was assumed, one sentence each."""
+        told = [*self.warnings]
+        if self.place:
+            told.append(f'The contact point was taken {self.place}.')
+        if self.original is not None:
+            told.append(
+                'The clouds do not show the surface before the push: its height was taken from '
+                'where the force tells that the tool touched it.'
+            )
+        return told
 
 
 class _Followed(NamedTuple):
@@ -538,10 +585,8 @@ class _Followed(NamedTuple):
     heights: list[float]
     tools: list[float]
     tracker: DisplacementTracker | None
-    near: DisplacementSettings | None
-    begun: float
+    view: _View | None
     used: int
-    warnings: list[str]
     refusal: str
 
 
@@ -570,13 +615,29 @@ class _Dent:
             self._due = [t for t in self._due if t > frame.t]
         else:
             return
-        kept.append((tracker.near(frame.xyz, 2.0 * _ASTRAY), tool))
+        points = tracker.near(frame.xyz, 2.0 * _ASTRAY)
+        kept.append((points[:: max(len(points) // _DENT_POINTS, 1)], tool))
 
-    def axis(self, tracker: DisplacementTracker) -> tuple[float, float] | None:
-        """Return the axis of the dent [m]; None if it is not clear, or that of the tracker."""
+    def axis(self, planned: tuple[float, float]) -> tuple[float, float] | None:
+        """Return the axis of the dent [m]; None if it is not clear, or the one as planned."""
+        # Loads much of scipy, which clouds of a recorded contact point do without.
         from hapticvision_ros.core.scene.dent import find_dent_axis
 
-        return find_dent_axis(self._before, self._with_dent, tracker.axis, _ASTRAY)
+        found = find_dent_axis(self._before, self._with_dent, planned, _ASTRAY)
+        if found is None or math.dist(found, planned) < _AS_PLANNED:
+            return None
+        return found
+
+    def level(self, axis: tuple[float, float]) -> float | None:
+        """Return the median height around an axis before the push [m]; None if it is not seen."""
+        heights = [
+            points[
+                (np.hypot(*(points[:, :2] - axis).T) < 0.5 * _ASTRAY) & (points[:, 2] < tool), 2
+            ]
+            for points, tool in self._before
+        ]
+        middle = _middle(np.concatenate(heights)) if heights else None
+        return None if middle is None else middle[0]
 
 
 def _follow(
@@ -585,28 +646,24 @@ def _follow(
     contact_point: tuple[float, float, float] | None,
     settings: DisplacementSettings,
     *,
-    axis: tuple[float, float] | None = None,
-    begin: float = -math.inf,
-    original: float | None = None,
+    view: _View | None = None,
     dent: _Dent | None = None,
 ) -> _Followed:
-    """Follow the surface at the contact point, or at an axis that the dent tells."""
+    """Follow the surface at the contact point, or as a view that is known tells."""
     first, last = float(tool_height.t[0]), float(tool_height.t[-1])
     times: list[float] = []
     heights: list[float] = []
     tools: list[float] = []
-    warnings: list[str] = []
-    tracker: DisplacementTracker | None = None
+    tracker = None if view is None else view.tracker()
     refusal = 'there is no cloud within the record of the tool height'
     used = 0
-    begun = math.inf
-    near: DisplacementSettings | None = None
     plane: SupportPlane | None = None
     for frame in frames:
         if not first <= frame.t <= last or (times and frame.t <= times[-1]):
             continue
         used += 1
-        if frame.t < begin:
+        if view is not None and frame.t < view.begun:
+            # What hid the object from being planned for hides it still.
             continue
         tool = float(tool_height.at(np.array([frame.t]))[0])
         if tracker is None:
@@ -614,24 +671,17 @@ def _follow(
                 # The object may be hidden in the frames before.
                 passed = tool_height.value[tool_height.t <= frame.t]
                 lowest = float(np.nanmin(passed, initial=np.inf))
-                close_up = _close_up(frame.xyz, tool_height, contact_point, axis, settings)
-                if close_up is not None:
-                    middle, near, warnings = close_up
-                    tracker = DisplacementTracker(
-                        middle, near, lowest_tool_height=lowest, original_height=original
-                    )
-                else:
+                view = _close_up(frame, tool_height, lowest, contact_point, settings)
+                if view is None:
                     points = finite_points(frame.xyz)
                     if plane is None or not still_supports(plane, points):
                         plane = fit_support_plane(points)
-                    tracker, warnings = _set_up(
-                        frame.xyz, tool, lowest, contact_point, plane, settings, axis, original
-                    )
+                    view = _set_up(frame, tool, lowest, contact_point, plane, settings)
+                tracker = view.tracker()
             except InputError as error:
                 text = str(error).rstrip('.')
                 refusal = text[:1].lower() + text[1:]
                 continue
-            begun = frame.t
         height = tracker.update(frame.xyz, tool)
         if dent is not None:
             dent.take(frame, tool, tracker)
@@ -639,14 +689,15 @@ def _follow(
             times.append(frame.t)
             heights.append(height)
             tools.append(tool)
-    return _Followed(times, heights, tools, tracker, near, begun, used, warnings, refusal)
+    return _Followed(times, heights, tools, tracker, view, used, refusal)
 
 
 def _told(followed: _Followed, tool_height: Signal) -> tuple[Signal | None, tuple[str, ...]]:
     """Return H if what was followed tells it, and what was assumed or why it does not."""
-    warnings, tracker, near = followed.warnings, followed.tracker, followed.near
-    if tracker is None:
+    tracker, view = followed.tracker, followed.view
+    if tracker is None or view is None:
         return None, (f'The clouds give no displacement height: {followed.refusal}.',)
+    warnings = view.told
     if tracker.original_height is None:
         return None, (
             *warnings,
@@ -662,10 +713,10 @@ def _told(followed: _Followed, tool_height: Signal) -> tuple[Signal | None, tupl
     found = Signal(np.array(followed.times), np.array(followed.heights))
     if is_elsewhere(found.value, tracker.original_height - np.array(followed.tools)):
         return None, (*warnings, ELSEWHERE)
-    if near is not None:
+    if view.close_up:
         pressed = found.value[found.t > tool_height.t[np.nanargmin(tool_height.value)]]
         # A sensor that drifts, or a tool whose height is a little off, is no other frame.
-        deep = max(near.tool_margin, _RISES * float(np.ptp(tool_height.value)))
+        deep = max(view.settings.tool_margin, _RISES * float(np.ptp(tool_height.value)))
         if pressed.size and np.median(pressed) < -deep:
             return None, (
                 'The clouds give no displacement height: they show no support plane, and the '
@@ -726,12 +777,12 @@ def _by_noise(
 
 
 def _close_up(
-    xyz: PointArray,
+    frame: CloudFrame,
     tool_height: Signal,
+    lowest_before: float,
     contact_point: tuple[float, float, float] | None,
-    dent: tuple[float, float] | None,
     settings: DisplacementSettings,
-) -> tuple[tuple[float, float], DisplacementSettings, list[str]] | None:
+) -> _View | None:
     """
     Take clouds that show the top of the object alone, without the plane that it lies on.
 
@@ -740,18 +791,16 @@ def _close_up(
 
     Returns
     -------
-    tuple or None
-        Contact axis [m], settings and warnings; None if the cloud is none of these.
+    _View or None
+        How they are looked at; None if the cloud is none of these.
 
     """
-    points = finite_points(xyz).astype(np.float64)
+    points = finite_points(frame.xyz).astype(np.float64)
     if len(points) < settings.least_points:
         return None
     lowest, highest = float(np.nanmin(tool_height.value)), float(np.nanmax(tool_height.value))
     low = max(0.5 * lowest, LARGEST_OFFSET)
-    if dent is not None:
-        axis = np.array(dent)
-    elif contact_point is not None:
+    if contact_point is not None:
         axis = np.array(contact_point[:2])
     else:
         # Returns that are lost, and single odd ones, move this less than they do the mean.
@@ -775,29 +824,28 @@ def _close_up(
     near = _by_noise(np.column_stack((offset, z)), height + LARGEST_OFFSET, settings)
     warning = (
         'The clouds show no support plane: their z was taken as the height above it, since the '
-        'tool came from above the surface that they show and went below it'
+        'tool came from above the surface that they show and went below it.'
     )
-    if dent is not None:
-        warning += f', and {_in_the_dent(dent)}'
-    elif contact_point is None:
-        warning += (
-            ', and the contact point in the middle of what they show: '
+    place = ''
+    if contact_point is None:
+        place = (
+            'in the middle of what the clouds show: '
             f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm'
         )
-    return (float(axis[0]), float(axis[1])), near, [f'{warning}.']
+    where = float(axis[0]), float(axis[1])
+    return _View(where, near, None, None, lowest_before, frame.t, True, (warning,), place)
 
 
 def _set_up(
-    xyz: PointArray,
+    frame: CloudFrame,
     tool_height: float,
     lowest: float,
     contact_point: tuple[float, float, float] | None,
     plane: SupportPlane,
     settings: DisplacementSettings,
-    dent: tuple[float, float] | None,
-    original: float | None,
-) -> tuple[DisplacementTracker, list[str]]:
-    """Return a tracker for the clouds that begin with `xyz`, and what had to be assumed."""
+) -> _View:
+    """Return how the clouds are looked at that begin with a frame."""
+    xyz = frame.xyz
     warnings: list[str] = []
     rotation = shift = None
     levelled = xyz
@@ -811,11 +859,8 @@ def _set_up(
             'they were brought into the frame of that plane.'
         )
         plane = replace(plane, normal=VERTICAL, offset=0.0)
-    if dent is not None:
-        axis = dent
-        told = _in_the_dent(dent)
-        warnings.append(f'{told[:1].upper()}{told[1:]} in the frame of the support plane.')
-    elif contact_point is not None and rotation is None:
+    place = ''
+    if contact_point is not None and rotation is None:
         axis = contact_point[:2]
     else:
         planning = replace(DEFAULT_PLANNING, least_patch_points=settings.least_points)
@@ -826,28 +871,21 @@ def _set_up(
             near = tool_height + 2.0 * planning.plane_tolerance
             plan = plan_contact(levelled, ceiling=near, plane=plane, settings=planning)
         axis = plan.contact_point[:2]
-        warnings.append(
-            'The contact point was taken where the vertical through the mass centre of the '
-            f'top view meets the surface: x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm '
-            'in the frame of the support plane.'
+        place = (
+            'where the vertical through the mass centre of the top view meets the surface: '
+            f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm '
+            'in the frame of the support plane'
         )
     points = finite_points(levelled).astype(np.float64)
     points[:, :2] -= axis
     settings = _by_noise(points, tool_height, settings)
-    tracker = DisplacementTracker(
-        axis,
-        settings,
-        rotation=rotation,
-        shift=shift,
-        lowest_tool_height=lowest,
-        original_height=original,
-    )
-    return tracker, warnings
+    where = float(axis[0]), float(axis[1])
+    return _View(where, settings, rotation, shift, lowest, frame.t, False, tuple(warnings), place)
 
 
 def _in_the_dent(axis: tuple[float, float]) -> str:
-    """Say that the contact point was taken in the dent."""
+    """Say where the dent is."""
     return (
-        'the contact point was taken in the middle of the dent that the tool left: '
-        f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm'
+        'in the middle of the dent that the tool left: '
+        f'x = {axis[0] * 1e3:.1f} mm, y = {axis[1] * 1e3:.1f} mm in the frame of the support plane'
     )

@@ -29,9 +29,9 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.bag.mcap_scan import MAGIC
-from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.bag.reader import _touched, read_trial
 from hapticvision_ros.core.errors import InputError
-from hapticvision_ros.core.records import Trial
+from hapticvision_ros.core.records import Signal, Trial
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
@@ -576,3 +576,9 @@ def test_a_bag_that_does_not_exist_is_refused(tmp_path: Path) -> None:
 
 def test_a_damaged_name_does_not_break_the_sentence() -> None:
     assert str(InputError('the topic /a\nb is unknown')) == 'the topic /a\\nb is unknown'
+
+
+def test_a_trial_without_a_touch_tells_no_height_of_one() -> None:
+    """What its clouds show is read all the same."""
+    few = Signal(np.arange(4.0), np.zeros(4))
+    assert _touched(few, few) is None

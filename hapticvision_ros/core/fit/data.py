@@ -170,6 +170,10 @@ _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOSTLY_ROUNDED: Final = 3.0
 """Noise of the encoders over that of their rounding, below which the latter tells its size."""
+_CALMER: Final = 1.5
+_NORMAL_FROM_QUARTER: Final = 3.1387
+"""Standard deviation of a normal error over the first quartile of its size, and how many times it
+that is taken for the noise of a tool that moves at most."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
 _ZOOMS: Final = 5
@@ -801,7 +805,7 @@ def _prepare(
         onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std),
         has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
         # Where the tool hides the surface until it touches it, that is where its height is from.
-        has_height_zero=trial.displacement_source == 'points'
+        has_height_zero=(trial.displacement_source == 'points' and height_t.size > 0)
         or int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,
         t_release=phases.t_release,
@@ -2018,7 +2022,9 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
             # Readings that round, or none of any noise: what a tool that is accelerated is beside
             # the line is then much, and alike for neighbours.
             off, alike = np.diff(beside)[fast], 5.0
-        noise = max(noise, _spread(off, alike, rounded))
+        # Much of that may be how a tool goes that swings for long after each change of speed.
+        calm = _CALMER * _NORMAL_FROM_QUARTER * float(np.quantile(np.abs(off), 0.25))
+        noise = max(noise, min(_spread(off, alike, rounded), calm / math.sqrt(alike)))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     noise = max(noise, rounded)
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):

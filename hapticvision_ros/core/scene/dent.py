@@ -41,6 +41,8 @@ _CLEAR: Final = 3.0
 """Depth of a dent that tells its axis, in standard deviations of the depths around its profile."""
 _TOLD: Final = 20.0
 """Gain in the deviance of one frame that tells an axis from the one that was planned."""
+_PLANES: Final = 2
+"""How often plane and profile are taken out in turn."""
 _EDGE: Final = 4e-3
 """What was lower by more than this beside the axis is no top of the object [m]."""
 _ABOVE: Final = 1e-3
@@ -79,9 +81,12 @@ def find_dent_axis(
     original = _within(
         [points[points[:, 2] < tool] for points, tool in before], start, 2.0 * reach
     )
-    if len(original) < _FEWEST:
+    near_start = _within([original], start, 0.5 * reach)
+    if len(near_start) < _FEWEST or not after:
         return None
-    level = float(np.median(_within([original], start, 0.5 * reach)[:, 2]))
+    level = float(np.median(near_start[:, 2]))
+    # Lower down is what the object lies on.
+    lowest = min(tool for _, tool in after) - _EDGE
     try:
         surface = LinearNDInterpolator(original[:, :2] - start, original[:, 2])
     except QhullError:
@@ -92,7 +97,7 @@ def find_dent_axis(
         place = near[:, :2] - start
         was = surface(place)
         depth = was - near[:, 2]
-        known = np.isfinite(depth) & (was > level - _EDGE)
+        known = np.isfinite(depth) & (was > level - _EDGE) & (near[:, 2] > lowest)
         above = known & (depth < -_ABOVE)
         if tool < level + _ABOVE and np.count_nonzero(above) > _MOST_ABOVE * depth.size:
             # What of it is below the original surface is none of the dent.
@@ -107,8 +112,12 @@ def find_dent_axis(
         total = 0.0
         for place, depth in dents:
             order = np.argsort(np.hypot(*(place - axis).T))
-            profile = isotonic_regression(depth[order], increasing=False).x
-            total += float(np.sum((depth[order] - profile) ** 2))
+            x, y = place[order].T
+            left = depth[order]
+            for _ in range(_PLANES):
+                # A sensor or an object that tilts makes a plane of depths.
+                left = left - _plane(x, y, left - _profile(left))
+            total += float(np.sum((left - _profile(left)) ** 2))
         return total
 
     ticks = np.linspace(-reach, reach, _LOOKS)
@@ -137,6 +146,22 @@ def find_dent_axis(
     ):
         return None
     return float(start[0] + found.x[0]), float(start[1] + found.x[1])
+
+
+def _profile(depth: FloatArray) -> FloatArray:
+    """Return the profile that falls and follows depths best, nearest to the axis first [m]."""
+    return np.asarray(isotonic_regression(depth, increasing=False).x)
+
+
+def _plane(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """Return the heights of the plane through the origin that fits best [m]."""
+    # Sums, since threads of a library for matrices wait for each other longer than this takes.
+    xx, xy, yy = np.sum(x * x), np.sum(x * y), np.sum(y * y)
+    xz, yz = np.sum(x * z), np.sum(y * z)
+    determinant = xx * yy - xy * xy
+    if not determinant > 0.0:
+        return np.zeros(z.size)
+    return np.asarray(((yy * xz - xy * yz) * x + (xx * yz - xy * xz) * y) / determinant)
 
 
 def _within(

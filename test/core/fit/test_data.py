@@ -770,3 +770,20 @@ def test_a_tool_that_never_goes_on_has_encoders_without_noise() -> None:
     t = np.arange(0.0, 5.0, 0.01)
     path = tool_path(Signal(t, np.where(t < 2.5, -0.004, 0.004)), replace(PHASES, t_end=5.0))
     assert np.isfinite(path.displacement).all()
+
+
+def test_a_tool_that_swings_after_its_turns_hides_the_noise_of_few_samples_only() -> None:
+    """Half of the samples of a tool that moves are beside the lines of their neighbours by um."""
+    fine = np.arange(0.0, 5.0, 1e-4)
+
+    def swung(turn: float) -> np.ndarray:
+        since = np.maximum(fine - turn, 0.0)
+        return 1.0 - np.exp(-20.0 * since) * (np.cos(71.0 * since) + 0.28 * np.sin(71.0 * since))
+
+    speed = 0.0195 * swung(0.5) - 0.0195 * swung(1.3) - 0.043 * swung(3.0) + 0.043 * swung(3.36)
+    way = np.concatenate(([0.0], np.cumsum(0.5e-4 * (speed[1:] + speed[:-1])))) - 0.008
+    t = np.arange(0.01, 4.9, 0.02)
+    noise = 1e-7 * np.random.default_rng(0).standard_normal(t.size)
+    phases = replace(PHASES, t_contact=0.92, t_hold=1.35, t_release=3.0, t_loss=3.2, t_end=4.8)
+    path = tool_path(Signal(t, np.interp(t, fine, way) + noise), phases)
+    assert path.noise < 1e-6

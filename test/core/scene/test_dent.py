@@ -14,7 +14,8 @@
 
 """Where a tool has pushed, from clouds of a dome with a dent that the tests make."""
 
-from hapticvision_ros.core.records import FloatArray
+from hapticvision_ros.core.displacement import displacement_from_clouds
+from hapticvision_ros.core.records import CloudFrame, FloatArray, Signal
 from hapticvision_ros.core.scene.dent import find_dent_axis
 import numpy as np
 import pytest
@@ -73,3 +74,62 @@ def test_where_no_dent_is_left_there_is_no_axis(depth: float) -> None:
     assert find_dent_axis(before, after, START, 0.02) is None
     assert find_dent_axis([], after, START, 0.02) is None
     assert find_dent_axis(before, [], START, 0.02) is None
+
+
+def tilted(points: FloatArray, slope: float) -> FloatArray:
+    """Return points that stand askew."""
+    return points + np.column_stack((np.zeros((len(points), 2)), slope * points[:, 0]))
+
+
+@pytest.mark.parametrize('slope', [0.005, 0.03])
+def test_what_tilts_between_the_clouds_is_no_dent(slope: float) -> None:
+    before = [(cloud(0.0, seed), 0.0315) for seed in range(3)]
+    askew = [(tilted(cloud(0.0, seed), slope), 0.0315) for seed in range(10, 13)]
+    assert find_dent_axis(before, askew, START, 0.02) is None
+    dent = [(tilted(cloud(0.002, seed), slope), 0.0315) for seed in range(10, 13)]
+    assert find_dent_axis(before, dent, START, 0.02) == pytest.approx(AXIS, abs=5e-4)
+
+
+def test_what_the_object_lies_on_is_no_floor_of_a_dent() -> None:
+    """Beside an edge a point may be of either, from one cloud to the next."""
+    before = [(cloud(0.0, seed), 0.0315) for seed in range(3)]
+    after = []
+    for seed in range(10, 13):
+        points = cloud(0.001, seed)
+        flips = np.abs(points[:, 0] + 0.008) < 0.002
+        points[flips & (np.random.default_rng(seed).random(len(points)) < 0.5), 2] = 0.0
+        after.append((points, 0.027))
+    assert find_dent_axis(before, after, START, 0.02) == pytest.approx(AXIS, abs=3e-4)
+
+
+def test_a_cloud_with_nothing_where_the_tool_was_sent_tells_nothing() -> None:
+    away = cloud(0.0, 0)
+    away = away[np.hypot(*(away[:, :2] - START).T) > 0.012]
+    assert find_dent_axis([(away, 0.0315)], [(cloud(0.002, 1), 0.0315)], START, 0.02) is None
+
+
+def test_a_touch_tells_the_original_height_of_a_close_up_whose_middle_is_hidden() -> None:
+    """The tool hides where it pushes until it is up again, and pushes beside the middle."""
+    t = np.arange(0.0, 8.0, 0.1)
+    top = 0.03 - 2.0 * (AXIS[0] ** 2 + AXIS[1] ** 2)
+    height = top + np.interp(t, [0.0, 2.0, 3.0, 4.0, 6.0], [0.03, 0.0, -0.006, -0.006, 0.03])
+    truth = np.interp(t, [2.0, 3.0, 4.0, 5.0], [0.0, 0.006, 0.006, 0.004])
+    frames = []
+    for seed, (now, dent) in enumerate(zip(t, truth, strict=True)):
+        points = cloud(dent, seed)
+        points = points[np.hypot(*points[:, :2].T) < 0.03]
+        if now < 4.5:
+            points = points[np.hypot(*(points[:, :2] - AXIS).T) > 0.0065]
+        frames.append(CloudFrame(float(now), points.astype(np.float32), 'support_plane'))
+    tool = Signal(t, height)
+    signal, warnings = displacement_from_clouds(frames, tool, touched=lambda: top)
+    assert signal is not None
+    assert signal.t[0] > 4.4
+    assert np.abs(signal.value - np.interp(signal.t, t, truth)).max() < 3e-4
+    assert 'where the force tells' in warnings[-1]
+    assert 'of the dent that the tool left: x = 12' in warnings[-2]
+    # A touch that is far from what is seen beside it is none of this surface.
+    for nowhere in (None, 0.02):
+        signal, warnings = displacement_from_clouds(frames, tool, touched=lambda at=nowhere: at)
+        assert signal is None
+        assert 'was not seen before the push' in warnings[-1]
