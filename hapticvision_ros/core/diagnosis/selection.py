@@ -656,14 +656,14 @@ def select(
             progress=progress,
         )
         tried = tuple(sorted((*before, *tried), key=lambda e: (e.refit is None, -e.gain)))
-        good = _good(bench, tried, strongest)
+        good = _good(bench, current, tried, strongest)
         if good and good[0].refit is not None:
             # What the search for the larger model has found may serve the smaller one as well.
             closer = bench.refit(current.model, good[0].refit)
             if closer is not None and closer.deviance < current.deviance:
                 tried = _against(bench, tried, current, closer)
                 current = closer
-                good = _good(bench, tried, strongest)
+                good = _good(bench, current, tried, strongest)
         if not good or good[0].refit is None:
             rounds.append(Round(current, tried, ()))
             break
@@ -766,7 +766,25 @@ def _more_of(bench: Workbench, one: Trialled, others: Sequence[Trialled]) -> boo
     return bool(simpler) and one.refit is not None and fleeting(bench, one.refit, one.effect)
 
 
-def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> list[Trialled]:
+def told_by_one_step(bench: Workbench, without: Refit, refit: Refit) -> float:
+    """
+    Return the most that an effect takes out at any one step of the force.
+
+    No effect acts for a single step. One that is far off, as where the tool's way is not known, is
+    lowered by many effects a little; without it such an effect must gain something as well.
+    """
+    most = 0.0
+    filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
+    for index, (white, _) in enumerate(filters):
+        left = [bench.residual(each.problem, each.state, index)[0] for each in (without, refit)]
+        before, after = white(np.array(left)) ** 2
+        most = max(most, float(np.max(before - after, initial=0.0)))
+    return most
+
+
+def _good(
+    bench: Workbench, without: Refit, tried: Sequence[Trialled], strongest: Strongest
+) -> list[Trialled]:
     """Return the candidates that may be accepted beside what was so far, best first."""
     weakest = max(WEAKEST, _SECONDARY * strongest.strength)
     weakest_in_height = max(WEAKEST, _SECONDARY * strongest.in_height)
@@ -807,6 +825,7 @@ def _good(bench: Workbench, tried: Sequence[Trialled], strongest: Strongest) -> 
         and enough(each, each.refit)
         and not seldom(bench, each.refit, each.effect)
         and not within_a_sample(bench, each.refit, each.effect)
+        and each.gain > told_by_one_step(bench, without, each.refit)
     ]
     return [each for each in good if _beside(bench, each, refused) > GATE]
 
