@@ -43,6 +43,10 @@ _TOLD: Final = 20.0
 """Gain in the deviance of one frame that tells an axis from the one that was planned."""
 _PLANES: Final = 2
 """How often plane and profile are taken out in turn."""
+_ASKEW: Final = 0.5
+"""Part of the squares that a plane leaves where something tilts."""
+_AS_WELL: Final = 4.0
+"""Gain in the deviance of one frame that an axis has where a plane is taken out as well."""
 _EDGE: Final = 4e-3
 """What was lower by more than this beside the axis is no top of the object [m]."""
 _ABOVE: Final = 1e-3
@@ -108,44 +112,53 @@ def find_dent_axis(
     if not dents:
         return None
 
-    def squares(axis: FloatArray) -> float:
+    def squares(axis: FloatArray, planes: int) -> float:
         total = 0.0
         for place, depth in dents:
             order = np.argsort(np.hypot(*(place - axis).T))
             x, y = place[order].T
             left = depth[order]
-            for _ in range(_PLANES):
-                # A sensor or an object that tilts makes a plane of depths.
+            for _ in range(planes):
                 left = left - _plane(x, y, left - _profile(left))
             total += float(np.sum((left - _profile(left)) ** 2))
         return total
 
     ticks = np.linspace(-reach, reach, _LOOKS)
     looks = [np.array([x, y]) for x in ticks for y in ticks if np.hypot(x, y) <= reach]
-    begin = min(looks, key=squares)
-    triangle = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
-    found = minimize(
-        squares,
-        begin,
-        method='Nelder-Mead',
-        options={
-            'initial_simplex': begin + 0.25 * (ticks[1] - ticks[0]) * triangle,
-            'xatol': _FINELY,
-            'fatol': np.inf,
-        },
-    )
-    count = sum(depth.size for _, depth in dents)
-    noise = np.sqrt(found.fun / count)
+    triangle = 0.25 * (ticks[1] - ticks[0]) * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
+
+    def best(planes: int) -> tuple[FloatArray, float, float]:
+        """Return the best axis, the squares around it and those around the start."""
+        begin = min(looks, key=lambda axis: squares(axis, planes))
+        found = minimize(
+            squares,
+            begin,
+            args=(planes,),
+            method='Nelder-Mead',
+            options={'initial_simplex': begin + triangle, 'xatol': _FINELY, 'fatol': np.inf},
+        )
+        return found.x, float(found.fun), squares(np.zeros(2), planes)
+
+    axis, left, planned = best(0)
+    askew = best(_PLANES)
+    count = sum(depth.size for _, depth in dents) / len(dents)
+    if askew[1] < _ASKEW * left:
+        # A sensor or an object that tilts makes a plane of depths.
+        axis, left, planned = askew
+    elif count * np.log(askew[2] / squares(axis, _PLANES)) < _AS_WELL:
+        # What only a plane would move is no dent.
+        return None
+    noise = np.sqrt(left / (count * len(dents)))
     if noise <= 0.0:
         return None
     deepest = max(float(np.quantile(depth, _DEEP)) for _, depth in dents)
     if (
         deepest < _CLEAR * noise
-        or np.hypot(*found.x) > reach
-        or count / len(dents) * np.log(squares(np.zeros(2)) / found.fun) < _TOLD
+        or np.hypot(*axis) > reach
+        or count * np.log(planned / left) < _TOLD
     ):
         return None
-    return float(start[0] + found.x[0]), float(start[1] + found.x[1])
+    return float(start[0] + axis[0]), float(start[1] + axis[1])
 
 
 def _profile(depth: FloatArray) -> FloatArray:
