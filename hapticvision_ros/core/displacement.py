@@ -222,14 +222,9 @@ class DisplacementTracker:
             return None
         return float(np.median(self._heights))
 
-    @property
-    def axis(self) -> tuple[float, float]:
-        """Where the vertical through the contact point is, x and y [m]."""
-        return float(self._x), float(self._y)
-
     def near(self, xyz: PointArray, radius: float) -> PointArray:
         """Return the returns of a frame within a radius of the axis [m], shape (n, 3)."""
-        points = self.levelled(finite_points(xyz)).copy()
+        points = self._levelled(finite_points(xyz))
         with np.errstate(over='ignore', invalid='ignore'):
             points = points[self._distance(points) < radius**2]
         # Over the plane as this frame shows it.
@@ -323,7 +318,7 @@ class DisplacementTracker:
             return 1.0
         else:
             points = xyz[:: max(len(xyz) // _FLAT_SAMPLE, 1)]
-        ground = self.levelled(finite_points(points)).astype(np.float64)
+        ground = self._levelled(finite_points(points)).astype(np.float64)
         share = 1.0
         if self._plane_pixels is None:
             ground = ground[np.abs(ground[:, 2] - self._level_at(ground)) < LARGEST_OFFSET]
@@ -383,7 +378,7 @@ class DisplacementTracker:
         """Return the heights of the points within the patch's radius of the contact axis [m]."""
         settings = self._settings
         points = xyz if self._region is None else self._window(xyz[self._region])
-        points = self.levelled(points)
+        points = self._levelled(points)
         with np.errstate(over='ignore', invalid='ignore'):
             patch = points[self._distance(points) < settings.patch_radius**2]
             # A comparison drops NaN, but not a return at minus infinity.
@@ -417,7 +412,7 @@ class DisplacementTracker:
 
     def _window(self, region: PointArray) -> PointArray:
         """Return the part of the region in which a look at every sixth pixel finds the patch."""
-        coarse = self.levelled(region[::_STRIDE, ::_STRIDE])
+        coarse = self._levelled(region[::_STRIDE, ::_STRIDE])
         with np.errstate(over='ignore', invalid='ignore'):
             near = self._distance(coarse) < (_WIDER * self._settings.patch_radius) ** 2
         rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
@@ -440,7 +435,7 @@ class DisplacementTracker:
         self._region, self._plane_pixels = None, None
         if xyz.ndim != 3:
             return
-        points = self.levelled(xyz)
+        points = self._levelled(xyz)
         with np.errstate(over='ignore', invalid='ignore'):
             near = self._distance(points) < settings.region_radius**2
             ground = np.abs(points[..., 2]) < LARGEST_OFFSET
@@ -459,8 +454,7 @@ class DisplacementTracker:
             step = max(pixels.size // settings.plane_pixels, 1)
             self._plane_pixels = pixels[::step]
 
-    def levelled(self, points: PointArray) -> PointArray:
-        """Return points [m] in the frame of the support plane."""
+    def _levelled(self, points: PointArray) -> PointArray:
         if self._rotation is None or self._shift is None:
             return points
         with np.errstate(over='ignore', invalid='ignore'):

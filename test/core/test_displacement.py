@@ -573,6 +573,20 @@ def test_a_record_tells_by_its_dent_where_the_tool_has_pushed(tool_height):
     assert 'mass centre of the top view' in warnings[-1]
 
 
+def test_a_dent_that_is_not_where_the_tool_pressed_is_none(tool_height, monkeypatch):
+    """The heights at the planned contact point are those that are told."""
+    clouds = [
+        CloudFrame(t, view(dent, 1.0, seed), 'support_plane')
+        for seed, (t, _, dent) in enumerate(trial())
+    ]
+    planned, told = displacement_from_clouds(iter(clouds), tool_height)
+    elsewhere = (AXIS[0] + 0.03, AXIS[1])
+    monkeypatch.setattr(displacement._Dent, 'axis', lambda *_: elsewhere)
+    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    assert warnings == told
+    assert signal.value == pytest.approx(planned.value)
+
+
 def test_where_the_tool_hides_the_surface_its_touch_tells_the_original_height(tool_height):
     """The surface at the contact point is in no frame before the push."""
     clouds = []

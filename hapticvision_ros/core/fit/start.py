@@ -119,7 +119,7 @@ def _contacts(
     Returns
     -------
     count : ndarray, shape (n,)
-        None for steps in the air, and for those beside them.
+        As it was, but zero for steps in the air and for those beside them.
     fresh : ndarray of bool, shape (n,)
         The first step of each contact but the first one.
 

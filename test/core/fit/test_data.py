@@ -787,3 +787,15 @@ def test_a_tool_that_swings_after_its_turns_hides_the_noise_of_few_samples_only(
     phases = replace(PHASES, t_contact=0.92, t_hold=1.35, t_release=3.0, t_loss=3.2, t_end=4.8)
     path = tool_path(Signal(t, np.interp(t, fine, way) + noise), phases)
     assert path.noise < 1e-6
+
+
+@pytest.mark.parametrize('source', ['topic', 'points'])
+def test_heights_that_the_touch_gives_their_zero_have_one_that_is_fitted(source: str) -> None:
+    """Where the tool hides the surface until it touches, a cloud shows it after that only."""
+    trial = _trial()
+    t = np.arange(14.0, 19.0, 0.1)
+    heights = Signal(t, np.full(t.size, 0.004))
+    seen = replace(trial, displacement_height=heights, displacement_source=source)
+    (made,), _ = prepare([(seen, PHASES)])
+    assert made is not None
+    assert made.has_height_zero == (source == 'points')

@@ -90,6 +90,20 @@ def test_what_tilts_between_the_clouds_is_no_dent(slope: float) -> None:
     assert find_dent_axis(before, dent, START, 0.02) == pytest.approx(AXIS, abs=5e-4)
 
 
+@pytest.mark.parametrize('slope', [0.005, 0.02])
+def test_what_tilts_does_not_move_a_shallow_dent(slope: float) -> None:
+    """The tilt draws the axis aside by 3 and 11 mm, and noise hides that it is a plane."""
+    random = np.random.default_rng(0)
+
+    def noisy(points: FloatArray) -> FloatArray:
+        noise = 1e-4 * random.standard_normal(len(points))
+        return points + np.column_stack((np.zeros((len(points), 2)), noise))
+
+    before = [(noisy(cloud(0.0, seed)), 0.0315) for seed in range(6)]
+    after = [(noisy(tilted(cloud(5e-4, seed), slope)), 0.0315) for seed in range(10, 16)]
+    assert find_dent_axis(before, after, AXIS, 0.02) is None
+
+
 def test_what_the_object_lies_on_is_no_floor_of_a_dent() -> None:
     """Beside an edge a point may be of either, from one cloud to the next."""
     before = [(cloud(0.0, seed), 0.0315) for seed in range(3)]
