@@ -155,6 +155,69 @@ class Bursts:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """
+    Readings at which the range of the load cell has ended.
+
+    Parameters
+    ----------
+    count, total : int
+        How many, of how many.
+    rms : float
+        Root mean square of what the model says there beyond the reading [N].
+    share : float
+        Their squares over those of the noise of all samples.
+
+    """
+
+    count: int
+    total: int
+    rms: float
+    share: float
+
+    def __str__(self) -> str:
+        """Return what was found as a sentence."""
+        return (
+            f'force: {self.count} of {self.total} samples read the greatest force of their trial, '
+            f'again and again, {self.rms:.3g} N rms beside the model, as at the end of the load '
+            "cell's range"
+        )
+
+
+def ended(found: Refit) -> Ended | None:
+    """
+    Return what the end of a load cell's range hides.
+
+    Parameters
+    ----------
+    found : Refit
+        The model.
+
+    Returns
+    -------
+    Ended or None
+        None where no reading is at the end.
+
+    """
+    count, total, squares = 0, 0, 0.0
+    for index, trial in enumerate(found.problem.trials):
+        samples = trial.samples
+        total += samples.force.size
+        if samples.ended is None:
+            continue
+        full = trial.full_rate
+        predicted = found.problem.predict(found.state, index, full, directions=False).force
+        _, force_zero, _ = found.problem.own(found.state, index)
+        left = (samples.force - force_zero - predicted)[samples.ended]
+        count += left.size
+        squares += float(left @ left)
+    if not count:
+        return None
+    noise = found.force_noise.std
+    return Ended(count, total, math.sqrt(squares / count), squares / (total * noise**2))
+
+
 def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:
     """
     Return the bursts that samples which were set aside make of one phase.

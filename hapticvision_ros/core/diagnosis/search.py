@@ -30,7 +30,7 @@ from typing import Final
 from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
-from hapticvision_ros.core.diagnosis.excess import Bursts, bursts, Excess, louder
+from hapticvision_ros.core.diagnosis.excess import Bursts, bursts, Ended, ended, Excess, louder
 from hapticvision_ros.core.diagnosis.likeness import change, left_out, pairs, Tangent, visible
 from hapticvision_ros.core.diagnosis.records import (
     Candidate,
@@ -295,14 +295,21 @@ def _otherwise(
 
     def better(tried: tuple[Servo, Refit]) -> tuple[Servo, bool] | None:
         arm, without = tried
-        near, start = without.as_fit(before), told(corners, arm)
+        start = told(corners, arm)
         steps = _open_ways(corners, arm)
         paid = sum(price(bench, name) for name in without.model.effects)
+        nearest, least_cost = without, math.inf
 
         def cost(x: FloatArray) -> float:
+            nonlocal nearest, least_cost
             other = arm.changed(*(x @ steps).tolist())
-            found = Workbench(along(trials, prepared, other), scatter, memory).base(near)
-            return found.deviance + paid + told(corners, other) - start
+            there = Workbench(along(trials, prepared, other), scatter, memory)
+            # The best so far is nearer than what the arm as it was left.
+            found = there.taken_over(nearest)
+            total = found.deviance + paid + told(corners, other) - start
+            if total < least_cost:
+                nearest, least_cost = found, total
+            return total
 
         # What a little of each change would take out shows whether to look further, where jumps
         # are not taken to come at any moment.
@@ -508,7 +515,11 @@ class _Search:
             if struck is not None:
                 # Or stands out so much that it has passed for glitches.
                 status = 'partly_explained' if order else 'unexplained'
-                unexplained = self._struck(bench, base, chosen, struck, unexplained)
+                unexplained = self._beside(bench, base, chosen, struck, unexplained)
+        cut = ended(chosen)
+        if cut is not None:
+            status = 'partly_explained' if order else 'unexplained'
+            unexplained = self._beside(bench, base, chosen, cut, unexplained)
         changed = None
         if scatter is not None and scatter.block is not None:
             changed = self._changed(bench, base, chosen, scatter.block, unexplained)
@@ -770,20 +781,20 @@ class _Search:
             where=tuple(map(str, loud)),
         )
 
-    def _struck(
+    def _beside(
         self,
         bench: Workbench,
         base: Refit,
         chosen: Refit,
-        struck: Bursts,
+        left: Bursts | Ended,
         other: Unexplained | None,
     ) -> Unexplained:
-        """Return what is left where it comes in bursts."""
+        """Return what is left in samples that no model is fitted to."""
         taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
         known = 0.0 if other is None else other.share_of_chi2
         where = () if other is None else other.where
-        share = struck.share / (struck.share + taken**2) if struck.share > 0.0 else 0.0
-        return Unexplained(share_of_chi2=max(share, known), where=(str(struck), *where))
+        share = left.share / (left.share + taken**2) if left.share > 0.0 else 0.0
+        return Unexplained(share_of_chi2=max(share, known), where=(str(left), *where))
 
     def _changed(
         self,

@@ -348,10 +348,9 @@ class Corner(NamedTuple):
 
         """
         squares = np.empty(shifts.size)
-        lines = np.array([self.level, self.slope, self.next_level, self.next_slope])
         lasts = np.maximum(durations, 1e-9)
         rest = self.rest, self.coarse, shifts
-        _squares(self.t, self.value, lines, *rest, lasts, soft, lag, swing, squares)
+        _squares(self.t, self.value, self._lines, *rest, lasts, soft, lag, swing, squares)
         return squares
 
     @property
@@ -389,9 +388,14 @@ class Corner(NamedTuple):
 
     def deviance(self, shape: Shape) -> float:
         """Return minus twice the log likelihood of a shape, wherever the tool rests."""
-        scaled = self._at_shifts(shape)
-        least = float(scaled.min())
-        return least - 2.0 * math.log(float(np.mean(np.exp(-0.5 * (scaled - least)))))
+        lasts = max(shape.duration, 1e-9)
+        how = lasts, shape.soft * lasts, shape.lag, shape.swing
+        others = self._lines, self.rest, self.coarse, self.noise
+        return float(_deviance(self.t, self.value, *others, how))
+
+    @property
+    def _lines(self) -> tuple[float, float, float, float]:
+        return self.level, self.slope, self.next_level, self.next_slope
 
     def rested(self, shape: Shape) -> float:
         """
@@ -415,29 +419,51 @@ class Corner(NamedTuple):
         return t, level + self.slope * t
 
 
+@kernel(error_model='numpy', inline='always')
+def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
+    """Return the sum of squares that a shape leaves where the tool rests at a shift."""
+    level, slope, next_level, next_slope = lines
+    duration, jerk, lag, swing = how
+    turn = next_slope - slope
+    if rest == 0:
+        level += shift
+    elif rest == 1:
+        next_level += shift
+    meeting = (level - next_level) / turn
+    total = 0.0
+    for i in range(t.size):
+        before = t[i] < meeting
+        line = level + slope * t[i] if before else next_level + next_slope * t[i]
+        miss = value[i] - line
+        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing)
+        if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
+            left = max(abs(left) - coarse, 0.0)
+        total += left * left
+    return total
+
+
 @kernel(error_model='numpy')
 def _squares(  # type: ignore[no-untyped-def]
     t, value, lines, rest, coarse, shifts, durations, soft, lag, swing, squares
 ):
-    turn = lines[3] - lines[1]
     for j in range(shifts.size):
-        level, next_level = lines[0], lines[2]
-        if rest == 0:
-            level += shifts[j]
-        elif rest == 1:
-            next_level += shifts[j]
-        meeting = (level - next_level) / turn
-        total = 0.0
-        for i in range(t.size):
-            before = t[i] < meeting
-            line = level + lines[1] * t[i] if before else next_level + lines[3] * t[i]
-            miss = value[i] - line
-            jerk = soft * durations[j]
-            left = miss - turn * _beyond(t[i] - meeting, durations[j], jerk, lag, swing)
-            if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
-                left = max(abs(left) - coarse, 0.0)
-            total += left * left
-        squares[j] = total
+        how = durations[j], soft * durations[j], lag, swing
+        squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how)
+
+
+@kernel(error_model='numpy')
+def _deviance(t, value, lines, rest, coarse, noise, how):  # type: ignore[no-untyped-def]
+    """Return minus twice the log likelihood of a shape, wherever the tool rests."""
+    count = RESTS if rest >= 0 else 1
+    scaled = np.empty(count)
+    for j in range(count):
+        shift = coarse * (2.0 * j / (RESTS - 1) - 1.0) if count > 1 else 0.0
+        scaled[j] = _missed(t, value, lines, rest, coarse, shift, how) / (noise * noise)
+    least = scaled.min()
+    total = 0.0
+    for j in range(count):
+        total += math.exp(-0.5 * (scaled[j] - least))
+    return least - 2.0 * math.log(total / count)
 
 
 @dataclass(frozen=True, slots=True)

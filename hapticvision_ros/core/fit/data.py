@@ -46,6 +46,7 @@ from hapticvision_ros.core.fit.bend import (
 )
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
+from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
@@ -236,6 +237,8 @@ class Samples:
         False where a sample is set aside as a glitch, or missing.
     missing : ndarray of bool, shape (n,), optional
         True where a gap of the record has a step without a sample, or with one that tells nothing.
+    ended : ndarray of bool, shape (n,), optional
+        True for those of them at which the range of the load cell has ended.
 
     """
 
@@ -243,6 +246,7 @@ class Samples:
     force: FloatArray
     good: NDArray[np.bool_]
     missing: NDArray[np.bool_] | None = None
+    ended: NDArray[np.bool_] | None = None
 
 
 class Rest(NamedTuple):
@@ -606,6 +610,7 @@ def prepare(
     windows: bool = False,
     servo: Servo | None = None,
     momentary: bool | None = None,
+    range_end: float = math.inf,
 ) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
     """
     Return trials in the form that the fit works with.
@@ -622,6 +627,8 @@ def prepare(
     momentary : bool, optional
         Whether the readings of the force are of a moment, so that those beside a touch do not tell
         when within a sample it was; what the touches tell by default.
+    range_end : float, optional
+        Where other trials show that the range of the load cell ends [N].
 
     Returns
     -------
@@ -639,9 +646,12 @@ def prepare(
         servo = arm_of(trials)[0]
     if momentary is None:
         momentary = reads_at_moments(trials)
+    range_end = min(range_end, end_of_range([trial.force.value for trial, _ in trials]))
     for trial, phases in trials:
         beside = _touches(trial.force, phases)[0] if momentary else np.empty(0)
-        made = _prepare(trial, phases, (trial.start_ns - first) * 1e-9, windows, servo, beside)
+        later = (trial.start_ns - first) * 1e-9
+        ends = min(range_end, end_of_range([trial.force.value]))
+        made = _prepare(trial, phases, later, windows, servo, beside, ends)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
@@ -649,6 +659,12 @@ def prepare(
             continue
         prepared.append(made)
         unknown.append(_unknown_way(trial, made))
+        if made.samples.ended is not None:
+            warnings.append(
+                f'{trial.name}: the load cell reads {ends:.4g} N again and again and nothing '
+                'above it, as at the end of its range: these readings are not used, '
+                f'{np.count_nonzero(made.samples.ended)} of {made.samples.ended.size}'
+            )
     clear = [made for made, why in zip(prepared, unknown, strict=True) if made and not why]
     for index, why in enumerate(unknown):
         if why is None:
@@ -746,8 +762,13 @@ def _prepare(
     windows: bool,
     servo: Servo | None,
     beside: FloatArray,
+    range_end: float,
 ) -> FitTrial | str:
-    """Return one trial, without the readings at some times, or why it cannot be used."""
+    """
+    Return one trial, or why it cannot be used.
+
+    It is without the readings at the times `beside`, and without those at the end of the range.
+    """
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:
         return 'no contact was found'
@@ -776,7 +797,8 @@ def _prepare(
     bad = ((suspects(force.value) | lone) & ~eventful) | absurd(force.value, interval)
     samples = Samples(edges, force.value - phases.force_zero, ~bad)
     samples, eventful = _with_gaps(samples, force.t, interval, eventful)
-    samples = _without(samples, beside)
+    ended = force.t[at_the_end(force.value, range_end)]
+    samples = _without(_without(samples, beside), ended, at_the_end=True)
     edges = samples.edges
     baseline = int(np.searchsorted(force.t, touch))
     height_interval = 1.0
@@ -877,7 +899,7 @@ def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool
     return np.array(times), whole
 
 
-def _without(samples: Samples, times: FloatArray) -> Samples:
+def _without(samples: Samples, times: FloatArray, *, at_the_end: bool = False) -> Samples:
     """Return samples without the readings at some times, as if these were missing."""
     if not times.size:
         return samples
@@ -885,7 +907,8 @@ def _without(samples: Samples, times: FloatArray) -> Samples:
     inside = times[(times > samples.edges[0]) & (times < samples.edges[-1])]
     away[np.searchsorted(samples.edges, inside) - 1] = True
     missing = away if samples.missing is None else samples.missing | away
-    return replace(samples, good=samples.good & ~away, missing=missing)
+    ended = away if at_the_end else samples.ended
+    return replace(samples, good=samples.good & ~away, missing=missing, ended=ended)
 
 
 def arm_of(

@@ -54,6 +54,7 @@ from hapticvision_ros.core.fit.campaign import (
 from hapticvision_ros.core.fit.data import FitTrial, prepare, reads_at_moments, suspects
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
+from hapticvision_ros.core.fit.saturation import end_of_range
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +102,8 @@ class Trained:
         How the arm changes its speed.
     momentary : bool, optional
         Whether the readings of the force are of a moment.
+    range_end : float, optional
+        Where the range of the load cell ends [N].
 
     """
 
@@ -112,6 +115,7 @@ class Trained:
     scatter: FloatArray
     servo: Servo | None = None
     momentary: bool | None = None
+    range_end: float = math.inf
 
     @classmethod
     def of(cls, fit: Fit, campaign: Sequence[Segmented]) -> 'Trained':
@@ -125,6 +129,7 @@ class Trained:
             fit.problem.scatter,
             fit.problem.trials[0].path.servo,
             reads_at_moments(pairs_of(campaign)),
+            end_of_range([trial.force.value for trial, _ in pairs_of(campaign)]),
         )
 
     def problem(self, trials: Sequence[FitTrial]) -> Problem:
@@ -415,7 +420,11 @@ def predict_unseen(
     # What has a phase is faster than the steps of a trial.
     fast = any(math.isnan(own.neutral) for own in trained.model.trial_parameters)
     prepared, warnings = prepare(
-        pairs, windows=fast, servo=trained.servo, momentary=trained.momentary
+        pairs,
+        windows=fast,
+        servo=trained.servo,
+        momentary=trained.momentary,
+        range_end=trained.range_end,
     )
     first = min((trial.start_ns for trial, _ in pairs), default=0)
     later = (first - trained.start_ns) * 1e-9
