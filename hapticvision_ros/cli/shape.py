@@ -20,9 +20,10 @@ folder that has one has the rest. Several bags have a folder each, and a table o
 """
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import replace
+from functools import cache
 import math
 import os
 from pathlib import Path
@@ -36,6 +37,7 @@ from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
+    from hapticvision_ros.core.records import Segmentation, Trial
     from hapticvision_ros.core.surface.cloud import Observation
     from hapticvision_ros.core.surface.study import ShapeSettings, ShapeStudy
 
@@ -167,13 +169,15 @@ def run(args: argparse.Namespace) -> int:
     rows: list[dict[str, Any]] = []
     loop: list[dict[str, Any]] = []
     folders = _folders(args.bags, args.out)
+    # The loop looks at each bag many times; clouds stay in the file.
+    opened = cache(_opened)
     if args.close_loop:
-        loop, settings = _closed(args.bags, of_tip, settings)
+        loop, settings = _closed(args.bags, opened, of_tip, settings)
     for bag, out in zip(args.bags, folders, strict=True):
         if len(args.bags) > 1:
             print(f'{bag}\n')
         identified = of_tip(settings.sphere)
-        study = _study(bag, identified, settings)
+        study = _study(bag, opened, identified, settings)
         rows.append(_done(study, args.result, which, bag, out, identified))
         print()
     if len(rows) > 1:
@@ -369,6 +373,7 @@ def _size(text: str) -> tuple[float, float, float]:
 
 def _closed(
     bags: Sequence[Path],
+    opened: '_Opened',
     of_tip: ByTip,
     settings: 'ShapeSettings',
 ) -> 'tuple[list[dict[str, Any]], ShapeSettings]':
@@ -382,7 +387,7 @@ def _closed(
             len(bags),
             settings,
             lambda trial, changed, seen: _study(
-                bags[trial], of_tip(changed.sphere), changed, seen
+                bags[trial], opened, of_tip(changed.sphere), changed, seen
             ),
         )
         print('Misfit of the profile of the shape, trial by trial [mm rms]:\n')
@@ -457,27 +462,47 @@ def _anew(identified: Identified) -> str:
     return f'for this tip of the tool the bags were fitted anew, with {model.name}: {told}'
 
 
+type _Opened = Callable[[Path], 'tuple[Trial, Segmentation]']
+
+
+def _opened(bag: Path) -> 'tuple[Trial, Segmentation]':
+    """Return the trial of a bag that has clouds, with its phases."""
+    from hapticvision_ros.bag.reader import read_trial
+
+    trial = read_trial(bag)
+    if trial.clouds is None:
+        raise InputError(
+            f'{bag} has no clouds: record /range_sensor/points, or choose another bag.'
+        )
+    from hapticvision_ros.core.segmentation import segment
+
+    with _naming(bag):
+        return trial, segment(trial.force, trial.tool_height, trial.displacement_height)
+
+
+@contextlib.contextmanager
+def _naming(bag: Path) -> Iterator[None]:
+    """Name the bag of which the numerics, that know no files, say that they cannot use it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
+
+
 def _study(
     bag: Path,
+    opened: _Opened,
     identified: Identified,
     settings: 'ShapeSettings',
     observed: 'Observation | None' = None,
 ) -> 'ShapeStudy':
     """Return what was found in a bag; of its object, where it was taken out of the clouds."""
-    from hapticvision_ros.bag.reader import read_trial
-
     with Progress() as tell:
         tell('reading')
-        trial = read_trial(bag)
-        if trial.clouds is None:
-            raise InputError(
-                f'{bag} has no clouds: record /range_sensor/points, or choose another bag.'
-            )
-        from hapticvision_ros.core.segmentation import segment
+        trial, phases = opened(bag)
         from hapticvision_ros.core.surface.study import study_shape
 
-        try:
-            phases = segment(trial.force, trial.tool_height, trial.displacement_height)
+        with _naming(bag):
             study = study_shape(
                 trial,
                 phases,
@@ -488,9 +513,6 @@ def _study(
                 observed=observed,
                 progress=tell,
             )
-        except InputError as error:
-            # The numerics know no files.
-            raise InputError(f'{bag}: {str(error).rstrip(".")}.') from error
     if identified.anew:
         told = (_anew(identified), *identified.warnings)
         study = replace(study, warnings=(*study.warnings, *told))

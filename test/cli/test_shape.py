@@ -292,7 +292,7 @@ def test_what_the_loop_accepts_is_what_is_simulated(
         found = replace(found, accepted=not settings.sphere)
         return found, replace(settings, sphere=True)
 
-    def studied(_: Path, identified: Identified, settings: ShapeSettings) -> None:
+    def studied(_: Path, __: object, identified: Identified, settings: ShapeSettings) -> None:
         used.append((identified.model.name, settings.sphere))
 
     row = dict.fromkeys(('push_speed_m_s', 'depth_m'))

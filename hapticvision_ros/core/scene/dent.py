@@ -37,6 +37,8 @@ _FINELY: Final = 1e-5
 """How finely the axis is looked for [m]."""
 _LOOKS: Final = 9
 """Axes that are tried along each side of the region, before the best is refined."""
+_BEGUN: Final = 250
+"""Depths of a frame by which they are compared."""
 _CLEAR: Final = 3.0
 """Depth of a dent that tells its axis, in standard deviations of the depths around its profile."""
 _TOLD: Final = 20.0
@@ -112,9 +114,17 @@ def find_dent_axis(
     if not dents:
         return None
 
-    def squares(axis: FloatArray, planes: int) -> float:
+    # To begin with, some of the depths do.
+    few = [
+        (place[:: 1 + depth.size // _BEGUN], depth[:: 1 + depth.size // _BEGUN])
+        for place, depth in dents
+    ]
+
+    def squares(
+        axis: FloatArray, planes: int, of: Sequence[tuple[FloatArray, FloatArray]] = dents
+    ) -> float:
         total = 0.0
-        for place, depth in dents:
+        for place, depth in of:
             order = np.argsort(np.hypot(*(place - axis).T))
             x, y = place[order].T
             left = depth[order]
@@ -129,7 +139,7 @@ def find_dent_axis(
 
     def best(planes: int) -> tuple[FloatArray, float, float]:
         """Return the best axis, the squares around it and those around the start."""
-        begin = min(looks, key=lambda axis: squares(axis, planes))
+        begin = min(looks, key=lambda axis: squares(axis, planes, few))
         found = minimize(
             squares,
             begin,
