@@ -573,6 +573,7 @@ class Workbench:
             state = state.copy()
             # A jump that is misplaced passes for one whose moment is not known.
             if turn and replace_onsets(problem, state, force, SHARPEST):
+                blur = problem.sharpest(state, force, blur)
                 problem.set_noise(force, height, problem.unsure(state, blur))
             state = minimise(
                 problem.evaluate,

@@ -95,6 +95,8 @@ _ROUGH: Final = 3
 """Starts above which a parameter is one that a search does not find its way to."""
 _MOST: Final = 3
 """Effects that are added at most."""
+_STRIKING: Final = 200.0
+"""Gain of a candidate from which on all that change the chain are fitted beside it."""
 _CONTEST: Final = 3
 """Candidates that are searched for longer: those that may come first."""
 _FIRST: Final = 10
@@ -395,6 +397,10 @@ def try_all(
     if drawn or without.blur.later > BLUNT:
         # Jumps of moments that are not known promise nothing to some that draw them out.
         tried += refitted([name for name in missed if _is_quick(name)])
+    if best is not None and best.gain > _STRIKING:
+        # What makes another chain may move the body so far that one step promises nothing.
+        known = {each.effect for each in tried}
+        tried += refitted([n for n in missed if n not in known and BY_NAME[n].shape is not None])
     known = {each.effect for each in tried}
     tried += [promised(name) for name in names if name not in known]
     # What was refitted comes before what only promised something.

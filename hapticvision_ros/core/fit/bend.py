@@ -108,6 +108,9 @@ class Shape(NamedTuple):
         natural frequency omega; without a swing the time constant of a first-order lag [s].
     swing : float
         1 / (4 zeta^2): none for a first-order lag, above a quarter the speed goes beyond [-].
+    part : float
+        Part of the change that is a stop, where it is a stop and a start the other way, one right
+        after the other, each of which takes as long as is said here; none where it is zero [-].
 
     """
 
@@ -115,6 +118,7 @@ class Shape(NamedTuple):
     jerk: float = 0.0
     lag: float = 0.0
     swing: float = 0.0
+    part: float = 0.0
 
     @property
     def soft(self) -> float:
@@ -127,9 +131,21 @@ class Shape(NamedTuple):
         return self.lag * max(1.0, 2.0 * self.swing)
 
     @property
+    def spans(self) -> float:
+        """Return how long the commanded speed changes [s]."""
+        once = self.duration + self.jerk
+        return 2.0 * once if self.part > 0.0 else once
+
+    @property
+    def ahead(self) -> float:
+        """Return by how much the change begins before the straight pieces would meet [s]."""
+        once = self.duration + self.jerk
+        return (1.5 - self.part) * once if self.part > 0.0 else 0.5 * once
+
+    @property
     def takes(self) -> float:
         """Return how long the speed changes, but for the last of the lag [s]."""
-        return self.duration + self.jerk + 2.0 * self.slowest
+        return self.spans + 2.0 * self.slowest
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,13 +182,12 @@ class Bend:
     @property
     def start(self) -> float:
         """Return when the acceleration begins [s]."""
-        return self.t - self.shape.lag - 0.5 * (self.shape.duration + self.shape.jerk)
+        return self.t - self.shape.lag - self.shape.ahead
 
     @property
     def stop(self) -> float:
         """Return when it ends [s]."""
-        shape = self.shape
-        return self.start + shape.duration + shape.jerk + FADED * shape.slowest
+        return self.start + self.shape.spans + FADED * self.shape.slowest
 
     def beyond(self, t: FloatArray) -> FloatArray:
         """Return by how much the path is beyond the straight pieces at times within [m]."""
@@ -227,9 +242,8 @@ def _travel(since, lag, swing, order):  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy', inline='always')
-def _beyond(away, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
-    """Return by how much a corner is passed, over the change of speed."""
-    at = away + lag
+def _gone(at, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
+    """Return the way of a tool whose speed changes by one, from when half of it has come on."""
     half = 0.5 * duration
     if jerk <= _SOFT * duration or duration < _BRIEFEST:
         way = _travel(at + half, lag, swing, 1) - _travel(at - half, lag, swing, 1)
@@ -239,13 +253,26 @@ def _beyond(away, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
         way = _travel(at + half + soft, lag, swing, 2) - _travel(at + half - soft, lag, swing, 2)
         way -= _travel(at - half + soft, lag, swing, 2) - _travel(at - half - soft, lag, swing, 2)
         way /= duration * jerk
+    return way
+
+
+@kernel(error_model='numpy', inline='always')
+def _beyond(away, duration, jerk, lag, swing, part):  # type: ignore[no-untyped-def]
+    """Return by how much a corner is passed, over the change of speed."""
+    at = away + lag
+    if part > 0.0:
+        once = duration + jerk
+        way = part * _gone(at + (1.0 - part) * once, duration, jerk, lag, swing)
+        way += (1.0 - part) * _gone(at - part * once, duration, jerk, lag, swing)
+    else:
+        way = _gone(at, duration, jerk, lag, swing)
     return way - max(away, 0.0)
 
 
 @kernel(error_model='numpy')
-def _rounded(away, duration, jerk, lag, swing, beyond):  # type: ignore[no-untyped-def]
+def _rounded(away, duration, jerk, lag, swing, part, beyond):  # type: ignore[no-untyped-def]
     for i in range(away.size):
-        beyond[i] = _beyond(away[i], duration, jerk, lag, swing)
+        beyond[i] = _beyond(away[i], duration, jerk, lag, swing, part)
 
 
 def rounded(away: FloatArray, shape: Shape) -> FloatArray:
@@ -266,7 +293,8 @@ def rounded(away: FloatArray, shape: Shape) -> FloatArray:
 
     """
     beyond = np.empty(away.size)
-    _rounded(away, max(shape.duration, 1e-9), shape.jerk, shape.lag, shape.swing, beyond)
+    duration, *others = shape
+    _rounded(away, max(duration, 1e-9), *others, beyond)
     return beyond
 
 
@@ -308,6 +336,18 @@ class Corner(NamedTuple):
     def share(self) -> float:
         """Return the change of speed over the higher speed: 1 for a stop, 2 for a turn [-]."""
         return abs(self.turn) / max(abs(self.slope), abs(self.next_slope))
+
+    @property
+    def part(self) -> float:
+        """Return the part of a turn that is a stop; zero for what is none [-]."""
+        if self.slope * self.next_slope >= 0.0 or self.is_stop or self.is_start:
+            return 0.0
+        return abs(self.slope) / (abs(self.slope) + abs(self.next_slope))
+
+    @property
+    def is_start(self) -> bool:
+        """Return whether the tool was at rest."""
+        return abs(self.slope) < _RESTING * abs(self.next_slope)
 
     @property
     def is_stop(self) -> bool:
@@ -378,20 +418,13 @@ class Corner(NamedTuple):
 
     def left(self, shape: Shape, shift: float) -> float:
         """Return what one shape leaves of the samples with a rest at a shift [m^2]."""
-        lasts, at = np.array([shape.duration]), np.array([shift])
-        return float(self.squares(lasts, at, shape.soft, shape.lag, shape.swing)[0])
-
-    def _at_shifts(self, shape: Shape) -> FloatArray:
-        shifts = self.shifts
-        lasts = np.full(shifts.size, shape.duration)
-        return self.squares(lasts, shifts, shape.soft, shape.lag, shape.swing) / self.noise**2
+        others = self._lines, self.rest, self.coarse, shift
+        return float(_left_by(self.t, self.value, *others, _numbers(shape)))
 
     def deviance(self, shape: Shape) -> float:
         """Return minus twice the log likelihood of a shape, wherever the tool rests."""
-        lasts = max(shape.duration, 1e-9)
-        how = lasts, shape.soft * lasts, shape.lag, shape.swing
         others = self._lines, self.rest, self.coarse, self.noise
-        return float(_deviance(self.t, self.value, *others, how))
+        return float(_deviance(self.t, self.value, *others, _numbers(shape)))
 
     @property
     def _lines(self) -> tuple[float, float, float, float]:
@@ -404,7 +437,7 @@ class Corner(NamedTuple):
         A tool at rest reads the same wherever it is within a step of its encoders; how it comes
         there tells more: the mean over the step, by how likely the readings beside the rest are.
         """
-        return self.likely(self._at_shifts(shape) * self.noise**2)
+        return self.likely(np.array([self.left(shape, shift) for shift in self.shifts.tolist()]))
 
     def likely(self, squares: FloatArray) -> float:
         """Return the mean of `shifts`, by how likely they are with what they leave [m]."""
@@ -423,7 +456,7 @@ class Corner(NamedTuple):
 def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
     """Return the sum of squares that a shape leaves where the tool rests at a shift."""
     level, slope, next_level, next_slope = lines
-    duration, jerk, lag, swing = how
+    duration, jerk, lag, swing, part = how
     turn = next_slope - slope
     if rest == 0:
         level += shift
@@ -435,11 +468,22 @@ def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyp
         before = t[i] < meeting
         line = level + slope * t[i] if before else next_level + next_slope * t[i]
         miss = value[i] - line
-        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing)
+        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing, part)
         if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
             left = max(abs(left) - coarse, 0.0)
         total += left * left
     return total
+
+
+def _numbers(shape: Shape) -> tuple[float, float, float, float, float]:
+    """Return the numbers of a shape as a kernel takes them."""
+    lasts = max(shape.duration, 1e-9)
+    return lasts, shape.soft * lasts, shape.lag, shape.swing, shape.part
+
+
+@kernel(error_model='numpy')
+def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
+    return _missed(t, value, lines, rest, coarse, shift, how)
 
 
 @kernel(error_model='numpy')
@@ -447,7 +491,7 @@ def _squares(  # type: ignore[no-untyped-def]
     t, value, lines, rest, coarse, shifts, durations, soft, lag, swing, squares
 ):
     for j in range(shifts.size):
-        how = durations[j], soft * durations[j], lag, swing
+        how = durations[j], soft * durations[j], lag, swing, 0.0
         squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how)
 
 
@@ -493,6 +537,8 @@ class Servo:
         Whether `duration` is that of a stop, and in proportion for parts of the speed and for its
         reversal, as of an arm whose acceleration is scaled with its speed; `jerk` is over that of
         a stop then.
+    parted : bool
+        Whether it makes a turn as a stop and a start, one right after the other.
 
     """
 
@@ -505,6 +551,7 @@ class Servo:
     others: 'Servo | None' = None
     swing: float = 0.0
     scaled: bool = False
+    parted: bool = False
 
     def of(self, corner: Corner) -> 'Servo | None':
         """Return what makes a change of speed; None where it is not one of those made alike."""
@@ -548,6 +595,8 @@ class Servo:
 
     def at(self, corner: Corner) -> Shape:
         """Return how the change of speed of a corner goes."""
+        if self.parted and corner.part > 0.0:
+            return self.shape(0.5 * corner.turn)._replace(part=corner.part)
         return self.shape(corner.turn, corner.share)
 
     def shape(self, turn: float, share: float = 1.0) -> Shape:
@@ -643,6 +692,7 @@ class _Kind(NamedTuple):
     usual: float
     scale: float
     scaled: bool = False
+    parted: bool = False
 
 
 def _servo(x: FloatArray, kind: _Kind) -> Servo:
@@ -661,6 +711,7 @@ def _servo(x: FloatArray, kind: _Kind) -> Servo:
         kind.scale,
         swing=min(max(float(x[3]), 0.0), WILDEST) if x.size > 3 else 0.0,
         scaled=kind.scaled,
+        parted=kind.parted,
     )
 
 
@@ -790,15 +841,21 @@ def _alike(
     clean = float(np.median([corner.noisiness for corner in corners])) < _CLEAN
     found: list[tuple[float, float, FloatArray, _Kind]] = []
     shares = np.array([corner.share for corner in corners])
-    kinds = {'even': turns, 'alike': np.ones(turns.size)}
+    kinds = [('even', turns, False), ('alike', np.ones(turns.size), False)]
     if np.ptp(shares) > _LIKE:
-        kinds['scaled'] = shares
-    for name, sizes in kinds.items():
+        kinds.append(('scaled', shares, False))
+    turning = np.array([corner.part > 0.0 for corner in corners])
+    if turning.any():
+        # How long each half of a turn lasts.
+        whole = turning & np.array([shape.part == 0.0 for shape in shapes])
+        kinds.append(('even', np.where(turning & ~whole, 0.5, 1.0) * turns, True))
+        kinds.append(('alike', np.where(whole, 2.0, 1.0), True))
+    for name, sizes, parted in kinds:
         usual = float(np.median(lasts / sizes))
         scale = usual * float(np.median(sizes))
         if usual <= 0.0:
             continue
-        kind = _Kind(name == 'even', usual, scale, name == 'scaled')
+        kind = _Kind(name == 'even', usual, scale, name == 'scaled', parted)
         cost = partial(_left, each, kind, longest)
         starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
         swinging = _swinging(shapes, turns, usual, sizes)

@@ -196,6 +196,7 @@ class Blur(NamedTuple):
 
 
 _SAMPLE: Final = Blur(1.0, 1.0)
+_HALF: Final = Blur(0.5, 0.5)
 SHARPEST: Final = Blur(_BLURS[0], _BLURS[0])
 """The best that moments may be known."""
 
@@ -1127,7 +1128,10 @@ def _weighted(
     """Return the best parameters with the noise that their residual shows."""
     trials = problem.trials
     for turn in range(_ROUNDS):
-        moved = replace_onsets(problem, state, force_noise, blur) if turn else False
+        moved = replace_onsets(problem, state, force_noise, _HALF) if turn else False
+        if moved:
+            # What was taken for not known was misplaced, and would be moved away again.
+            blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         jumps = problem.unsure(state, blur)
         forces, heights = problem.noise_records(state, jumps)
         before, first = force_noise, turn == 0 and fresh

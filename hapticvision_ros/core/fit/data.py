@@ -106,6 +106,8 @@ _GROWTH: Final = 0.02
 _WINDOW: Final = 512
 _WINDOW_EVERY: Final = 8192
 """Samples in a window at the full rate, and from one to the next."""
+_GONE_ON: Final = 6.0
+"""Standard deviations of the encoders by which a tool may have gone on where a corner is told."""
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
 _LEFT_SIGMAS: Final = 6.0
@@ -931,14 +933,25 @@ def arm_of(
 
     """
     turns: list[_Turned] = []
+    others: list[_Turned] = []
     for trial, phases in trials:
         displacement = _displacement(trial, phases)
         if displacement is None or phases.push_is_cut:
             continue
         reached = displacement.t > float(phases.t_contact or 0.0)
         if np.count_nonzero(reached) >= _FEWEST and displacement.value[reached].max() > 0.0:
-            turns += _path(displacement, phases, None)[1]
+            path, found = _path(displacement, phases, None)
+            for turn in found:
+                near = _on_the_object(turn, phases, path.interval)
+                (turns if near else others).append(turn)
     servo = servo_of([turn.corner for turn in turns], [turn.shape for turn in turns])
+    if others:
+        # On its way there and back the tool may be commanded otherwise than on the object. Where
+        # it is not, its quicker ways tell more.
+        every = turns + others
+        whole = servo_of([turn.corner for turn in every], [turn.shape for turn in every])
+        if whole is not None and _is_as_good(whole, servo, turns):
+            servo = whole
     if servo is not None:
         turns = [
             turn
@@ -946,6 +959,21 @@ def arm_of(
             if not is_apart(turn.corner, turn.corner.deviance(turn.shape), servo)
         ]
     return servo, tuple(turn.corner for turn in turns)
+
+
+def _is_as_good(whole: Servo, servo: Servo | None, turns: 'Sequence[_Turned]') -> bool:
+    """Return whether what all ways tell of an arm follows those on the object as theirs does."""
+    worth = math.log(max(sum(turn.corner.t.size for turn in turns), 2))
+    if whole.swing > 0.0 and (servo is None or servo.swing == 0.0):
+        # How an arm swings shows on the object, or is none of what is told from elsewhere.
+        return False
+
+    def left(turn: _Turned, by: Servo | None) -> float:
+        alone = turn.corner.deviance(turn.shape) + 2.0 * worth
+        mine = None if by is None else by.of(turn.corner)
+        return alone if mine is None else min(turn.corner.deviance(mine.at(turn.corner)), alone)
+
+    return sum(left(turn, whole) - left(turn, servo) for turn in turns) < worth
 
 
 def along(
@@ -1371,13 +1399,15 @@ def _path(
         servo,
         _rest(turns, phases, float(value.max()), interval),
     )
-    # On its way there and back the tool may be commanded otherwise than on the object.
+    return path, turns
+
+
+def _on_the_object(turn: _Turned, phases: Segmentation, interval: float) -> bool:
+    """Return whether a tool changes its speed on the object, or is about to leave it."""
     end = phases.t_end if phases.t_loss is None else phases.t_loss
     # A quick withdrawal is off the object at once.
-    end += _EDGE_SAMPLES[0] * path.interval
-    return path, [
-        turn for turn in turns if turn.bend.t > touch and turn.bend.start < end + turn.bend.lasts
-    ]
+    end += _EDGE_SAMPLES[0] * interval + turn.bend.lasts
+    return turn.bend.t > float(phases.t_contact or 0.0) and turn.bend.start < end
 
 
 @lru_cache(maxsize=64)
@@ -1773,6 +1803,10 @@ def _known_shape(
             break
     _, shape, shift = min(found)
     left, shape = _between(corner, shape, shift, longest)
+    if left > enough and corner.part > 0.0:
+        # A turn may be a stop and a start, each half as long and as soft as an S-curve.
+        near = Shape(0.35 * shape.duration, 0.2 * shape.duration, shape.lag, 0.0, corner.part)
+        left, shape = min((left, shape), _between(corner, near, shift, longest))
     if left > enough:
         swinging = []
         for swing in SWINGS:
@@ -1813,7 +1847,7 @@ def _between(corner: Corner, near: Shape, shift: float, longest: float) -> tuple
         soft = min(max(float(x[2]), 0.0), 1.0)
         swing = max(float(x[3]), 0.0) if size == 4 else 0.0
         lag = min(max(float(x[1]), 0.0) * scale, longest)
-        return Shape(duration, soft * duration, lag, swing)
+        return Shape(duration, soft * duration, lag, swing, near.part)
 
     def cost(x: FloatArray) -> float:
         return corner.left(shape(x), shift) / corner.noise**2
@@ -2249,24 +2283,29 @@ def _meet(t: FloatArray, value: FloatArray, corners: Sequence[float], noise: flo
         del knots[least + 1], bounds[least + 1]
         pieces[least] = _piece(t, value, bounds[least], bounds[least + 1], noise)
         del pieces[least + 1]
-    knots = _moved(t, knots, pieces)
+    knots = _moved(t, knots, pieces, noise)
     # Samples on the wrong side of a corner have bent its pieces.
     bounds = [0, *np.searchsorted(t, knots[1:-1]).tolist(), t.size]
     pieces = [_piece(t, value, a, b, noise) for a, b in pairwise(bounds)]
-    return np.array(_moved(t, knots, pieces))
+    return np.array(_moved(t, knots, pieces, noise))
 
 
-def _moved(t: FloatArray, knots: Sequence[float], pieces: Sequence[_Piece]) -> list[float]:
+def _moved(
+    t: FloatArray, knots: Sequence[float], pieces: Sequence[_Piece], noise: float
+) -> list[float]:
     """Return the corners, each where its two pieces meet if that is close by."""
     step = float(np.median(np.diff(t)))
     moved = [knots[0]]
     for k in range(1, len(knots) - 1):
         before, after = pieces[k - 1], pieces[k]
         meeting = knots[k]
-        if abs(before.slope - after.slope) > _CLEAR * math.hypot(before.error, after.error):
-            meeting = (after.level - before.level) / (before.slope - after.slope)
         shorter = min(knots[k] - knots[k - 1], knots[k + 1] - knots[k])
         reach = max(8.0 * step, 4.0 * shorter / _PATH_BLOCKS)
+        turn = before.slope - after.slope
+        if abs(turn) > _CLEAR * math.hypot(before.error, after.error):
+            meeting = (after.level - before.level) / turn
+            # Of a slow tool whose encoders are noisy a corner is not told better.
+            reach = max(reach, min(_GONE_ON * noise / abs(turn), 0.5 * shorter))
         inside = abs(meeting - knots[k]) <= reach and moved[-1] < meeting < knots[k + 1]
         moved.append(meeting if inside else knots[k])
     return [*moved, knots[-1]]
