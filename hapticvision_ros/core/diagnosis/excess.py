@@ -167,7 +167,7 @@ class Ended:
     rms : float
         Root mean square of what the model says there beyond the reading [N].
     share : float
-        Their squares over those of the noise of all samples.
+        Their squares beyond the noise, over those of the noise of all samples.
 
     """
 
@@ -214,8 +214,9 @@ def ended(found: Refit) -> Ended | None:
         squares += float(left @ left)
     if not count:
         return None
-    noise = found.force_noise.std
-    return Ended(count, total, math.sqrt(squares / count), squares / (total * noise**2))
+    variance = found.force_noise.std**2
+    share = max(squares - count * variance, 0.0) / (total * variance)
+    return Ended(count, total, math.sqrt(squares / count), share)
 
 
 def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:

@@ -517,7 +517,7 @@ class _Search:
                 status = 'partly_explained' if order else 'unexplained'
                 unexplained = self._beside(bench, base, chosen, struck, unexplained)
         cut = ended(chosen)
-        if cut is not None:
+        if cut is not None and math.sqrt(cut.share) > _LEAST_REST:
             status = 'partly_explained' if order else 'unexplained'
             unexplained = self._beside(bench, base, chosen, cut, unexplained)
         changed = None

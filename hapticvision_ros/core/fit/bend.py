@@ -75,6 +75,8 @@ WILDEST: Final = 12.0
 """Swing at most: a damping ratio of 0.14 [-]."""
 _LIKE: Final = 0.02
 """Spread of the parts of its speed by which a tool changes it, below which they are alike."""
+_EVENLY: Final = 0.1
+"""By how much the halves of a turn may differ that are taken for equal."""
 _PROBE: Final = 1e-6
 """Steps by which derivatives of shapes are told."""
 _CLEAN: Final = 2e-4
@@ -848,7 +850,9 @@ def _alike(
     if turning.any():
         # How long each half of a turn lasts.
         whole = turning & np.array([shape.part == 0.0 for shape in shapes])
-        kinds.append(('even', np.where(turning & ~whole, 0.5, 1.0) * turns, True))
+        if all(abs(corner.part - 0.5) < _EVENLY for corner in corners if corner.part > 0.0):
+            # Two of unequal speeds take unequal times where the acceleration is the same.
+            kinds.append(('even', np.where(turning & ~whole, 0.5, 1.0) * turns, True))
         kinds.append(('alike', np.where(whole, 2.0, 1.0), True))
     for name, sizes, parted in kinds:
         usual = float(np.median(lasts / sizes))

@@ -1670,7 +1670,8 @@ def turn_phases(problem: Problem, state: FloatArray) -> None:
             for value in tried:
                 state[place] = value
                 prediction = problem.predict(state, index, directions=False)
-                costs.append(float(np.sum((prediction.force - trial.force) ** 2)))
+                missed = (prediction.force - trial.force) ** 2
+                costs.append(float(trial.force_count @ missed))
             state[place] = tried[int(np.argmin(costs))]
 
 

@@ -648,11 +648,15 @@ def prepare(
         servo = arm_of(trials)[0]
     if momentary is None:
         momentary = reads_at_moments(trials)
-    range_end = min(range_end, end_of_range([trial.force.value for trial, _ in trials]))
-    for trial, phases in trials:
+    forces = [_without_spikes(trial) for trial, _ in trials]
+    range_end = min(range_end, end_of_range(forces))
+    for (trial, phases), force in zip(trials, forces, strict=True):
         beside = _touches(trial.force, phases)[0] if momentary else np.empty(0)
         later = (trial.start_ns - first) * 1e-9
-        ends = min(range_end, end_of_range([trial.force.value]))
+        ends = range_end
+        if math.isinf(ends) or force.max() > ends:
+            # One trial may have been read through another range.
+            ends = end_of_range([force])
         made = _prepare(trial, phases, later, windows, servo, beside, ends)
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
@@ -663,9 +667,9 @@ def prepare(
         unknown.append(_unknown_way(trial, made))
         if made.samples.ended is not None:
             warnings.append(
-                f'{trial.name}: the load cell reads {ends:.4g} N again and again and nothing '
-                'above it, as at the end of its range: these readings are not used, '
-                f'{np.count_nonzero(made.samples.ended)} of {made.samples.ended.size}'
+                f'{trial.name}: the load cell reads no more than {ends:.4g} N, as at the end of '
+                f'its range: {np.count_nonzero(made.samples.ended)} readings of '
+                f'{made.samples.ended.size} are not used'
             )
     clear = [made for made, why in zip(prepared, unknown, strict=True) if made and not why]
     for index, why in enumerate(unknown):
@@ -844,6 +848,17 @@ def _prepare(
     return raw.full_rate
 
 
+def range_end_of(trials: Sequence[tuple[Trial, Segmentation]]) -> float:
+    """Return where the trials of a campaign show that the range of the load cell ends [N]."""
+    return end_of_range([_without_spikes(trial) for trial, _ in trials])
+
+
+def _without_spikes(trial: Trial) -> FloatArray:
+    """Return the readings of the force without glitches, which may be above the range's end."""
+    value = trial.force.value
+    return value[~suspects(value)]
+
+
 def reads_at_moments(trials: Sequence[tuple[Trial, Segmentation]]) -> bool:
     """
     Return whether the readings of the force are of a moment, and not means over a sample.
@@ -964,8 +979,15 @@ def arm_of(
 def _is_as_good(whole: Servo, servo: Servo | None, turns: 'Sequence[_Turned]') -> bool:
     """Return whether what all ways tell of an arm follows those on the object as theirs does."""
     worth = math.log(max(sum(turn.corner.t.size for turn in turns), 2))
-    if whole.swing > 0.0 and (servo is None or servo.swing == 0.0):
+    swings = [
+        any(arm.swing > 0.0 for arm in (each, each and each.others) if arm is not None)
+        for each in (whole, servo)
+    ]
+    if swings == [True, False]:
         # How an arm swings shows on the object, or is none of what is told from elsewhere.
+        return False
+    near = [not is_apart(turn.corner, turn.corner.deviance(turn.shape), whole) for turn in turns]
+    if 2 * sum(near) <= len(near):
         return False
 
     def left(turn: _Turned, by: Servo | None) -> float:

@@ -51,10 +51,15 @@ from hapticvision_ros.core.fit.campaign import (
     TrialFit,
     turn_phases,
 )
-from hapticvision_ros.core.fit.data import FitTrial, prepare, reads_at_moments, suspects
+from hapticvision_ros.core.fit.data import (
+    FitTrial,
+    prepare,
+    range_end_of,
+    reads_at_moments,
+    suspects,
+)
 from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
-from hapticvision_ros.core.fit.saturation import end_of_range
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +134,7 @@ class Trained:
             fit.problem.scatter,
             fit.problem.trials[0].path.servo,
             reads_at_moments(pairs_of(campaign)),
-            end_of_range([trial.force.value for trial, _ in pairs_of(campaign)]),
+            range_end_of(pairs_of(campaign)),
         )
 
     def problem(self, trials: Sequence[FitTrial]) -> Problem:

@@ -22,13 +22,14 @@ from collections.abc import Sequence
 import math
 from typing import Final
 
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, runs
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 from numpy.typing import NDArray
 
 _CHANCE: Final = 1e-6
 """Chance at most that readings of noise stay at their greatest for as long."""
-_SHORTEST: Final = 6
+_SHORTEST: Final = 10
 """Readings in a row at least."""
 _STRETCH: Final = 20
 """Readings in which it is looked whether they differ from one to the next."""
@@ -36,6 +37,9 @@ _CALMEST: Final = 0.05
 """Part of the stretches that may be calmer."""
 _ALIKE: Final = 0.5
 """Part of a stretch's readings that are as the one before, from which on it tells nothing."""
+_TURNING: Final = 0.2
+"""Part of the readings at least that are above both of their neighbours, or below both: of white
+noise two in three."""
 _NEAR: Final = 10
 """Readings beside one at the end of the range whose noise has to do with it, where they are"""
 _BELOW: Final = 3.0
@@ -61,11 +65,11 @@ def end_of_range(forces: Sequence[FloatArray]) -> float:
     """
     most = max((float(force.max()) for force in forces if force.size), default=math.inf)
     for force in forces:
-        longest = _longest_run(force == most)
+        longest = max((stop - start for start, stop in runs(force == most)), default=0)
         if longest < _SHORTEST:
             continue
         alike = _alike(force, most)
-        if alike >= _ALIKE:
+        if alike >= _ALIKE or not _is_noisy(force[force < most]):
             continue
         enough = math.log(_CHANCE / force.size) / math.log(max(alike, _CALMEST))
         if longest >= enough:
@@ -94,15 +98,17 @@ def at_the_end(force: FloatArray, end: float) -> NDArray[np.bool_]:
     if not found.any():
         return found
     below = np.diff(force[~found], 2)
-    noise = 1.4826 * float(np.median(np.abs(below))) / math.sqrt(6.0) if below.size else 0.0
-    near = np.convolve(found, np.ones(2 * _NEAR + 1), mode='same') > 0.5
+    noise = 0.0
+    if below.size:
+        noise = NORMAL_FROM_MAD * float(np.median(np.abs(below))) / math.sqrt(6.0)
+    near = np.convolve(found, np.ones(2 * _NEAR + 1))[slice(_NEAR, _NEAR + found.size)] > 0.5
     return found | (near & (force >= end - _BELOW * noise))
 
 
-def _longest_run(of: NDArray[np.bool_]) -> int:
-    """Return how many in a row hold."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], of.astype(np.int8), [0]))))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))
+def _is_noisy(force: FloatArray) -> bool:
+    """Return whether readings go up and down, as they do by noise."""
+    ways = np.sign(np.diff(force))
+    return bool(np.mean(ways[1:] * ways[:-1] < 0.0) > _TURNING) if ways.size > 1 else False
 
 
 def _alike(force: FloatArray, most: float) -> float:

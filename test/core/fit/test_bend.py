@@ -378,3 +378,86 @@ def test_a_corner_of_one_sample_tells_nothing() -> None:
     alone = Corner(np.array([2.5]), np.array([0.0]), 0.0, 0.001, 0.0, -0.001, -1, 0.0, 1e-8)
     assert alone.noisiness == np.inf
     assert servo_of([alone] * 3, [Shape(0.0)] * 3) is None
+
+
+RAMP = 0.074
+"""How long the tool takes from rest to its speed, and back."""
+
+
+def _eased(t: np.ndarray, changes: list[tuple[float, float]]) -> np.ndarray:
+    """Return the way of a tool whose speed changes, each time as half a wave of a cosine does."""
+    way = np.zeros(t.size)
+    for at, change in changes:
+        since = t - at
+        part = np.clip(since / RAMP + 0.5, 0.0, 1.0)
+        eased = 0.5 * RAMP * (part - np.sin(np.pi * part) / np.pi)
+        way += change * (eased + np.maximum(since - 0.5 * RAMP, 0.0))
+    return way
+
+
+def _there_and_back(
+    speeds: tuple[float, ...], quick: float, way: float, noise: float, interval: float
+) -> tuple[list[tuple[Trial, Segmentation]], list[list[tuple[float, float]]]]:
+    """Return slow ways to and fro after a quick approach, turned by a stop and a start."""
+    pushes = tuple(Push(speed, 0.004, 4.0, 2.0) for speed in speeds)
+    sensors = Sensors(ForceNoise(0.01), 1e-5)
+    random = np.random.default_rng(5)
+    trials, truth = [], []
+    campaign = Campaign(Body(1000.0, 900.0, 1600.0), pushes, sensors)
+    for trial, speed in zip(run(campaign, seed=3).trials, speeds, strict=True):
+        phases = segment(trial.force, trial.tool_height, trial.displacement_height)
+        # A third of the slow way is above the object.
+        begun, slow = 1.0, 1.0 + 0.02 / quick
+        turn = slow + way / speed
+        away = turn + RAMP + way / speed
+        gone = away + 0.02 / quick
+        changes = [(begun, quick), (slow, speed - quick), (turn, -speed)]
+        changes += [(turn + RAMP, -speed), (away, speed - quick), (gone, quick)]
+        t = np.arange(0.0, gone + 2.0, interval)
+        gone_by = _eased(t, changes) - 0.02 - way / 3.0
+        gone_by += noise * random.standard_normal(t.size)
+        phases = replace(
+            phases,
+            t_contact=slow + way / 3.0 / speed,
+            t_hold=None,
+            t_release=turn,
+            t_loss=turn + RAMP + 0.5 * way / speed,
+            t_end=float(t[-1]),
+            contact_height=TOP,
+        )
+        force = Signal(t, np.interp(t, trial.force.t, trial.force.value))
+        moved = replace(trial, force=force, tool_height=Signal(t, TOP - gone_by))
+        trials.append((moved, phases))
+        truth.append(changes)
+    return trials, truth
+
+
+def test_a_turn_may_be_a_stop_and_a_start() -> None:
+    """Encoders of 50 Hz have some seven samples of it."""
+    trials, truth = _there_and_back((0.002, 0.01, 0.002, 0.01), 0.03, 0.006, 1e-6, 0.02)
+    servo, corners = arm_of(trials)
+    assert servo is not None
+    assert servo.parted
+    turned = max(corners, key=lambda corner: corner.part)
+    assert turned.part == pytest.approx(0.5, abs=0.01)
+    assert servo.at(turned).spans == pytest.approx(2.0 * RAMP, rel=0.1)
+    for trial, phases in trials:
+        path = tool_path(Signal(trial.tool_height.t, TOP - trial.tool_height.value), phases, servo)
+        changes = truth.pop(0)
+        near = changes[2][0] + np.arange(-0.1, 0.2, 0.001)
+        off = path.at(near) - (_eased(near, changes) - 0.022)
+        # A change of speed that does not pass through rest is off by 13 and 60 um.
+        assert np.abs(off).max() < 3e-6
+
+
+def test_quick_ways_in_the_air_tell_what_slow_ones_on_the_object_do_not() -> None:
+    """A turn at 0.05 mm/s is passed by 1 um, of which encoders with 2 um of noise show little."""
+    trials, _ = _there_and_back((5e-5,) * 3, 0.008, 6e-4, 2e-6, 0.01)
+    servo, corners = arm_of(trials)
+    assert servo is not None
+    assert len(corners) == 3
+    shape = servo.at(corners[0])
+    assert shape.part == pytest.approx(0.5, abs=0.01)
+    # How much an acceleration is spread in time: half a wave, and those that arms are told by.
+    spread = np.sqrt((shape.duration**2 + shape.jerk**2) / 12.0 + shape.lag**2)
+    assert spread == pytest.approx(RAMP * np.sqrt(0.25 - 2.0 / np.pi**2), rel=0.05)

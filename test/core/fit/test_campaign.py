@@ -36,7 +36,7 @@ from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Segmentation, Signal
 from hapticvision_ros.core.segmentation import segment
-from hapticvision_ros.sim import campaigns, specimen
+from hapticvision_ros.sim import campaigns, specimen, strengths
 import numpy as np
 import pytest
 
@@ -466,3 +466,23 @@ def test_a_tool_that_leaves_the_object_and_comes_again_tells_it(
     found = np.exp(result.theta[:3])
     assert found == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
     assert result.noise.force.std == pytest.approx(0.005, rel=0.1)
+
+
+def test_what_a_model_lacks_does_not_move_a_touch_that_jumps() -> None:
+    """The force of a viscous body jumps by a hundred times its noise where the tool touches."""
+    body = specimen.Body(1.5e5, 3.7e5, 5.1e5)
+    pushes = tuple(campaigns.Push(1e-4, d, 2.0, 2.0) for d in (7.5e-4, 1.5e-3, 7.5e-4, 1.5e-3))
+    sensors = campaigns.Sensors(
+        campaigns.ForceNoise(0.1), 7e-6, force_rate=1000.0, tool_rate=200.0, height_rate=20.0
+    )
+    made = campaigns.Campaign(body, pushes, sensors)
+    acting = strengths.undeclared('parallel_spring', 0.5, made)
+    trials = campaigns.run(made, [acting], seed=1).trials
+    result = fit([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
+    for trial, place in zip(result.problem.trials, result.problem.places, strict=True):
+        full = trial.full_rate
+        first = int(np.argmax(full.displacement[1:] > -result.state[place.start]))
+        jump = int(np.argmax(full.force > 20.0))
+        # Four samples off, and its moment taken for unsure by as much, the spring made up for it.
+        assert abs(first - jump) <= 1
+    assert result.noise.blur.touch == 1.0

@@ -799,3 +799,16 @@ def test_heights_that_the_touch_gives_their_zero_have_one_that_is_fitted(source:
     (made,), _ = prepare([(seen, PHASES)])
     assert made is not None
     assert made.has_height_zero == (source == 'points')
+
+
+@pytest.mark.parametrize('early', [0.086, 0.04, -0.086])
+def test_a_corner_that_noise_hides_is_where_the_pieces_meet(early: float) -> None:
+    """A release at 0.17 mm/s is told to some 0.1 s by encoders with 5 um of noise."""
+    t = np.arange(0.0, 32.0, 0.008)
+    corners = [0.0, 1.6, 13.8, 16.57, 28.74, 32.0]
+    way = np.interp(t, corners, [-5e-4, -5e-4, 1.54e-3, 1.54e-3, -5e-4, -5e-4])
+    read = way + 5e-6 * np.random.default_rng(1).standard_normal(t.size)
+    phases = Segmentation(4.6, 13.8, 16.57 - early, 17.1, 32.0, 0.04, 0.0, 1.7e-4, 1.54e-3)
+    off = tool_path(Signal(t, read), phases).at(t) - way
+    # The hold is taken to go on by 14 um where its end is taken to be early.
+    assert np.abs(off).max() < 3e-6
