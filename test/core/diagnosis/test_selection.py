@@ -471,6 +471,32 @@ def test_what_draws_jumps_out_as_the_leader_does_is_tried_though_it_promises_not
     assert gains['machine_compliance'] > 0.5 * gains['series_spring']
 
 
+def test_beside_a_striking_candidate_all_that_change_the_chain_are_fitted(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What moves the body far promises nothing in one step."""
+    measured = world.measure(world.campaign(), Undeclared('parallel_spring', (300.0,)), seed=24)
+    bench, base = measured.bench()
+    look = bench.look
+
+    def little(model: Model, near: Any) -> Look:
+        found = look(model, near)
+        promised = 'springpot' in model.effects
+        return found if promised else replace(found, promise=0.0)
+
+    monkeypatch.setattr(bench, 'look', little)
+    monkeypatch.setattr(selection, '_STRIKING', 50.0)
+    names = ['springpot', 'parallel_spring', 'force_drift']
+    gains = {each.effect: each.gain for each in try_all(bench, base, names) if each.refit}
+    assert gains['springpot'] > 50.0
+    assert gains['parallel_spring'] > gains['springpot']
+    # What leaves the chain as it is promises in one step what it can do.
+    assert 'force_drift' not in gains
+    monkeypatch.setattr(selection, '_STRIKING', 1e9)
+    (fitted,) = (each for each in try_all(bench, base, names) if each.refit)
+    assert fitted.effect == 'springpot'
+
+
 def test_a_withdrawal_that_the_encoders_follow_tells_what_acts_in_it(world: Any) -> None:
     bench, base = world.measure(world.campaign(), seed=25).bench()
     trial = bench.trials[0]
