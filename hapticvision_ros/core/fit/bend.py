@@ -769,16 +769,31 @@ def servo_of(corners: Sequence[Corner], shapes: Sequence[Shape]) -> Servo | None
             cost, stopped, others = left + 4 * worth, first, second
     if stopped is None or (whole[1] is not None and whole[0] <= cost):
         return whole[1]
-    if not _is_shown(kinds[0][0], stopped):
+    if lasting(kinds[0][0], stopped) <= SHOWN:
         return whole[1]
     return replace(stopped, stops=True, others=others)
 
 
-def _is_shown(corners: Sequence[Corner], servo: Servo) -> bool:
-    """Return whether changes of speed show that they take time."""
+def lasting(corners: Sequence[Corner], servo: Servo) -> float:
+    """
+    Return by how much changes of speed show that they take time.
+
+    Parameters
+    ----------
+    corners : sequence of Corner
+        What the encoders tell of each.
+    servo : Servo
+        How the arm makes them.
+
+    Returns
+    -------
+    float
+        The drop of minus twice the log likelihood against changes at once.
+
+    """
     at_once = [corner.deviance(Shape(0.0)) - told([corner], servo) for corner in corners]
     # One that is apart from the others tells nothing of these.
-    return sum(max(each, -_APART) for each in at_once) > SHOWN
+    return sum(max(each, -_APART) for each in at_once)
 
 
 def _kindred(

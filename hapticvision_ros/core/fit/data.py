@@ -35,6 +35,7 @@ from hapticvision_ros.core.fit.bend import (
     Bend,
     Corner,
     is_apart,
+    lasting,
     polished,
     ROUNDED,
     Servo,
@@ -106,6 +107,8 @@ _GROWTH: Final = 0.02
 _WINDOW: Final = 512
 _WINDOW_EVERY: Final = 8192
 """Samples in a window at the full rate, and from one to the next."""
+_WELL_SHOWN: Final = 300.0
+"""What the changes of speed on the object show of how an arm makes them, that is enough."""
 _GONE_ON: Final = 6.0
 """Standard deviations of the encoders by which a tool may have gone on where a corner is told."""
 _PATH_BLOCKS: Final = 256
@@ -959,8 +962,9 @@ def arm_of(
             for turn in found:
                 near = _on_the_object(turn, phases, path.interval)
                 (turns if near else others).append(turn)
-    servo = servo_of([turn.corner for turn in turns], [turn.shape for turn in turns])
-    if others:
+    corners = [turn.corner for turn in turns]
+    servo = servo_of(corners, [turn.shape for turn in turns])
+    if others and (servo is None or lasting(corners, servo) < _WELL_SHOWN):
         # On its way there and back the tool may be commanded otherwise than on the object. Where
         # it is not, its quicker ways tell more.
         every = turns + others
