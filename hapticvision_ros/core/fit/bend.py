@@ -369,7 +369,6 @@ class Corner(NamedTuple):
         shifts: FloatArray,
         soft: float,
         lag: float,
-        swing: float = 0.0,
     ) -> FloatArray:
         """
         Return what shapes leave of the samples.
@@ -380,8 +379,8 @@ class Corner(NamedTuple):
             How long the acceleration lasts [s], and where the tool rests beside its reading [m].
         soft : float
             Part of the duration over which the acceleration comes, and goes [-].
-        lag, swing : float
-            How late the servo is [s], and how it swings [-].
+        lag : float
+            How late the servo is [s], which does not swing.
 
         Returns
         -------
@@ -392,7 +391,7 @@ class Corner(NamedTuple):
         squares = np.empty(shifts.size)
         lasts = np.maximum(durations, 1e-9)
         rest = self.rest, self.coarse, shifts
-        _squares(self.t, self.value, self._lines, *rest, lasts, soft, lag, swing, squares)
+        _squares(self.t, self.value, self._lines, *rest, lasts, soft, lag, squares)
         return squares
 
     @property
@@ -490,10 +489,10 @@ def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-unty
 
 @kernel(error_model='numpy')
 def _squares(  # type: ignore[no-untyped-def]
-    t, value, lines, rest, coarse, shifts, durations, soft, lag, swing, squares
+    t, value, lines, rest, coarse, shifts, durations, soft, lag, squares
 ):
     for j in range(shifts.size):
-        how = durations[j], soft * durations[j], lag, swing, 0.0
+        how = durations[j], soft * durations[j], lag, 0.0, 0.0
         squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how)
 
 
