@@ -31,6 +31,7 @@ K. Ogata, Modern Control Engineering, 5th ed. 2010, ch. 5.3 (response of second-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 import math
 from typing import Final, NamedTuple
 
@@ -40,6 +41,8 @@ from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
+BRISK: Final = 0.1
+"""Part of a wait that the stop before it and the start after it take where a search begins."""
 FADED: Final = 7.0
 """Time constants after which a lag has gone: a thousandth of what it was."""
 ROUNDED: Final = 1.001
@@ -113,6 +116,8 @@ class Shape(NamedTuple):
     part : float
         Part of the change that is a stop, where it is a stop and a start the other way, one right
         after the other, each of which takes as long as is said here; none where it is zero [-].
+    wait : float
+        How long it rests between the two [s].
 
     """
 
@@ -121,6 +126,7 @@ class Shape(NamedTuple):
     lag: float = 0.0
     swing: float = 0.0
     part: float = 0.0
+    wait: float = 0.0
 
     @property
     def soft(self) -> float:
@@ -136,18 +142,44 @@ class Shape(NamedTuple):
     def spans(self) -> float:
         """Return how long the commanded speed changes [s]."""
         once = self.duration + self.jerk
-        return 2.0 * once if self.part > 0.0 else once
+        return once + self.apart if self.part > 0.0 else once
+
+    @property
+    def apart(self) -> float:
+        """Return how long after a stop the start is that comes with it [s]."""
+        return self.duration + self.jerk + self.wait
 
     @property
     def ahead(self) -> float:
         """Return by how much the change begins before the straight pieces would meet [s]."""
-        once = self.duration + self.jerk
-        return (1.5 - self.part) * once if self.part > 0.0 else 0.5 * once
+        half = 0.5 * (self.duration + self.jerk)
+        return half + (1.0 - self.part) * self.apart if self.part > 0.0 else half
 
     @property
     def takes(self) -> float:
         """Return how long the speed changes, but for the last of the lag [s]."""
         return self.spans + 2.0 * self.slowest
+
+    def as_wait(self, part: float) -> float:
+        """
+        Return how long a tool waits that stops and starts at once and is beyond as much in all.
+
+        Parameters
+        ----------
+        part : float
+            Part of the change of speed that is the stop [-].
+
+        Returns
+        -------
+        float
+            From the stop to the start [s].
+
+        """
+        # The mean square of when the speed changes, about the mean.
+        square = (self.duration**2 + self.jerk**2) / 12.0 + self.lag**2 * (1.0 - 2.0 * self.swing)
+        if self.part > 0.0:
+            square += self.part * (1.0 - self.part) * self.apart**2
+        return math.sqrt(max(square, 0.0) / (part * (1.0 - part)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +222,17 @@ class Bend:
     def stop(self) -> float:
         """Return when it ends [s]."""
         return self.start + self.shape.spans + FADED * self.shape.slowest
+
+    @property
+    def halves(self) -> tuple['Bend', ...]:
+        """Return the stop and the start that it is; itself where it is not both."""
+        part, apart = self.shape.part, self.shape.apart
+        if part <= 0.0:
+            return (self,)
+        shape = self.shape._replace(part=0.0, wait=0.0)
+        stop = replace(self, t=self.t - (1.0 - part) * apart, turn=part * self.turn, shape=shape)
+        start = replace(self, t=self.t + part * apart, turn=(1.0 - part) * self.turn, shape=shape)
+        return stop, start
 
     def beyond(self, t: FloatArray) -> FloatArray:
         """Return by how much the path is beyond the straight pieces at times within [m]."""
@@ -259,22 +302,23 @@ def _gone(at, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy', inline='always')
-def _beyond(away, duration, jerk, lag, swing, part):  # type: ignore[no-untyped-def]
+def _beyond(away, duration, jerk, lag, swing, part, wait):  # type: ignore[no-untyped-def]
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
     if part > 0.0:
-        once = duration + jerk
-        way = part * _gone(at + (1.0 - part) * once, duration, jerk, lag, swing)
-        way += (1.0 - part) * _gone(at - part * once, duration, jerk, lag, swing)
+        apart = duration + jerk + wait
+        way = part * _gone(at + (1.0 - part) * apart, duration, jerk, lag, swing)
+        way += (1.0 - part) * _gone(at - part * apart, duration, jerk, lag, swing)
     else:
         way = _gone(at, duration, jerk, lag, swing)
     return way - max(away, 0.0)
 
 
 @kernel(error_model='numpy')
-def _rounded(away, duration, jerk, lag, swing, part, beyond):  # type: ignore[no-untyped-def]
+def _rounded(away, how, beyond):  # type: ignore[no-untyped-def]
+    duration, jerk, lag, swing, part, wait = how
     for i in range(away.size):
-        beyond[i] = _beyond(away[i], duration, jerk, lag, swing, part)
+        beyond[i] = _beyond(away[i], duration, jerk, lag, swing, part, wait)
 
 
 def rounded(away: FloatArray, shape: Shape) -> FloatArray:
@@ -295,8 +339,7 @@ def rounded(away: FloatArray, shape: Shape) -> FloatArray:
 
     """
     beyond = np.empty(away.size)
-    duration, *others = shape
-    _rounded(away, max(duration, 1e-9), *others, beyond)
+    _rounded(away, _numbers(shape), beyond)
     return beyond
 
 
@@ -457,7 +500,7 @@ class Corner(NamedTuple):
 def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
     """Return the sum of squares that a shape leaves where the tool rests at a shift."""
     level, slope, next_level, next_slope = lines
-    duration, jerk, lag, swing, part = how
+    duration, jerk, lag, swing, part, wait = how
     turn = next_slope - slope
     if rest == 0:
         level += shift
@@ -469,17 +512,17 @@ def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyp
         before = t[i] < meeting
         line = level + slope * t[i] if before else next_level + next_slope * t[i]
         miss = value[i] - line
-        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing, part)
+        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing, part, wait)
         if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
             left = max(abs(left) - coarse, 0.0)
         total += left * left
     return total
 
 
-def _numbers(shape: Shape) -> tuple[float, float, float, float, float]:
+def _numbers(shape: Shape) -> tuple[float, float, float, float, float, float]:
     """Return the numbers of a shape as a kernel takes them."""
     lasts = max(shape.duration, 1e-9)
-    return lasts, shape.soft * lasts, shape.lag, shape.swing, shape.part
+    return lasts, shape.soft * lasts, shape.lag, shape.swing, shape.part, shape.wait
 
 
 @kernel(error_model='numpy')
@@ -492,7 +535,7 @@ def _squares(  # type: ignore[no-untyped-def]
     t, value, lines, rest, coarse, shifts, durations, soft, lag, squares
 ):
     for j in range(shifts.size):
-        how = durations[j], soft * durations[j], lag, 0.0, 0.0
+        how = durations[j], soft * durations[j], lag, 0.0, 0.0, 0.0
         squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how)
 
 
@@ -540,6 +583,8 @@ class Servo:
         a stop then.
     parted : bool
         Whether it makes a turn as a stop and a start, one right after the other.
+    wait : float
+        How long it rests between the two [s].
 
     """
 
@@ -553,6 +598,7 @@ class Servo:
     swing: float = 0.0
     scaled: bool = False
     parted: bool = False
+    wait: float = 0.0
 
     def of(self, corner: Corner) -> 'Servo | None':
         """Return what makes a change of speed; None where it is not one of those made alike."""
@@ -565,7 +611,8 @@ class Servo:
         Parameters
         ----------
         duration : float
-            Logarithm of the ratio of how long the acceleration lasts.
+            Logarithm of the ratio of how long the acceleration lasts. It takes as much longer as
+            a wait gets shorter.
         lag, jerk : float
             What is added to lag and jerk, over how long a change of speed lasts; none of both
             gets below zero.
@@ -575,9 +622,12 @@ class Servo:
         """
         scale = self.lasts
         soft = min(max(self.jerk + jerk * (scale if self.even else 1.0), 0.0), self._softest)
+        lasts = self.duration * math.exp(duration)
+        longer = 0.0 if self.even else lasts - self.duration
         return replace(
             self,
-            duration=self.duration * math.exp(duration),
+            duration=lasts,
+            wait=max(self.wait - longer, 0.0),
             jerk=soft,
             lag=max(self.lag + lag * scale, 0.0),
             swing=self.swing * math.exp(swing),
@@ -597,7 +647,8 @@ class Servo:
     def at(self, corner: Corner) -> Shape:
         """Return how the change of speed of a corner goes."""
         if self.parted and corner.part > 0.0:
-            return self.shape(0.5 * corner.turn)._replace(part=corner.part)
+            half = self.shape(0.5 * corner.turn)
+            return half._replace(part=corner.part, wait=self.wait)
         return self.shape(corner.turn, corner.share)
 
     def shape(self, turn: float, share: float = 1.0) -> Shape:
@@ -694,14 +745,29 @@ class _Kind(NamedTuple):
     scale: float
     scaled: bool = False
     parted: bool = False
+    waits: bool = False
 
 
 def _servo(x: FloatArray, kind: _Kind) -> Servo:
     """
     Return the servo of a search.
 
-    It is given by how long over the usual (logarithm), lag, part that comes, and swing.
+    It is given by how long over the usual (logarithm), lag, part that comes, and swing; one that
+    waits by how long it does so, how long it takes to stop and to start, and lag, over the scale,
+    and part that comes.
     """
+    if kind.waits:
+        wait, *others = np.maximum(x, 0.0).tolist()
+        duration, lag, jerk = [*others, 0.0, 0.0, 0.0][:3]
+        return Servo(
+            kind.usual * duration,
+            min(jerk, 1.0) * (kind.scale if kind.even else 1.0),
+            lag * kind.scale,
+            kind.even,
+            kind.scale,
+            parted=True,
+            wait=wait * kind.scale,
+        )
     lag = max(float(x[1]), 0.0) if x.size > 1 else 0.0
     jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
     return Servo(
@@ -725,7 +791,10 @@ def _left(
     """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
     servo = _servo(x, kind)
     shapes = [servo.at(corner) for corner, _ in corners]
-    if np.any(x[1:] < 0.0) or max(sum(shape[:3]) for shape in shapes) > longest:
+    if (
+        np.any(x[0 if kind.waits else 1 :] < 0.0)
+        or max(sum(shape[:3]) for shape in shapes) > longest
+    ):
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
     return sum(
@@ -868,6 +937,7 @@ def _alike(
             # Two of unequal speeds take unequal times where the acceleration is the same.
             kinds.append(('even', np.where(turning & ~whole, 0.5, 1.0) * turns, True))
         kinds.append(('alike', np.where(whole, 2.0, 1.0), True))
+    found += _waiting(each, shapes, clean=clean, longest=longest, worth=worth)
     for name, sizes, parted in kinds:
         usual = float(np.median(lasts / sizes))
         scale = usual * float(np.median(sizes))
@@ -904,9 +974,54 @@ def _alike(
     return (alone, None) if worst > alone else (worst, _servo(best, kind))
 
 
+def _waiting(
+    each: Sequence[tuple[Corner, float]],
+    shapes: Sequence[Shape],
+    *,
+    clean: bool,
+    longest: float,
+    worth: float,
+) -> list[tuple[float, float, FloatArray, _Kind]]:
+    """
+    Return arms that turn by a stop and a start with a wait between them.
+
+    With what they are worth, what they leave, and their numbers. Encoders see a short wait much
+    as they see a slow turn; what takes fewer numbers is the likelier one.
+    """
+    waits, others = list[float](), list[float]()
+    for (corner, _), shape in zip(each, shapes, strict=True):
+        if corner.part > 0.0:
+            waits.append(shape.as_wait(corner.part))
+        else:
+            others.append(shape.duration)
+    scale = float(np.median(waits)) if waits else 0.0
+    if scale <= 0.0:
+        return []
+    brief = min(float(np.median(others)) / scale, 1.0) if others else BRISK
+    found = []
+    sizes = np.array([(0.5 if c.part > 0.0 else 1.0) * abs(c.turn) for c, _ in each])
+    evenly = [False, True] if float(np.ptp(sizes)) > _LIKE * float(sizes.max()) else [False]
+    for even, size in product(evenly, (1, 2, 3, 4)):
+        if even and size == 1:
+            continue
+        usual = scale / float(np.median(sizes)) if even else scale
+        kind = _Kind(even, usual, scale, parted=True, waits=True)
+        start = np.array([1.0, brief, BRISK, 0.5])[:size]
+        if clean:
+            best = _clean(each, kind, start)
+        else:
+            at_all = partial(_left, [(corner, math.inf) for corner, _ in each], kind, longest)
+            _, best = minimum(at_all, start, BRISK * np.array([1.0, 1.0, 1.0, 2.0])[:size])
+        left = _left(each, kind, longest, best)
+        found.append((left + size * worth, left, best, kind))
+    return found
+
+
 def _clean(each: Sequence[tuple[Corner, float]], kind: _Kind, start: FloatArray) -> FloatArray:
     """Return how an arm makes most changes of speed that clean encoders tell, as `_servo` does."""
     bounds = np.array([-_LONGEST, 0.0, 0.0, 0.0])[: start.size], _BOUNDS[: start.size]
+    if kind.waits:
+        bounds = np.zeros(start.size), np.array([_LONGEST, _LONGEST, _LONGEST, 1.0])[: start.size]
 
     def shape(x: FloatArray, corner: Corner) -> Shape:
         return _servo(x, kind).at(corner)

@@ -33,6 +33,7 @@ from typing import Final, NamedTuple
 
 from hapticvision_ros.core.fit.bend import (
     Bend,
+    BRISK,
     Corner,
     is_apart,
     lasting,
@@ -1340,6 +1341,18 @@ class _Turned(NamedTuple):
     corner: Corner
     shape: Shape
 
+    @property
+    def knots(self) -> list[tuple[float, float]]:
+        """Return the corners of the path, times and levels: two of a stop and a start [s, m]."""
+        slopes = self.corner.slope, self.corner.next_slope
+        halves = self.bend.halves
+        if len(halves) == 1:
+            return [(self.bend.t, self.level)]
+        return [
+            (half.t, self.level + slope * (half.t - self.bend.t))
+            for half, slope in zip(halves, slopes, strict=True)
+        ]
+
 
 def _goes_on(displacement: Signal, touch: float, unsure: float) -> bool:
     """Return whether the tool goes on after the touch by more than is unsure of it there."""
@@ -1420,12 +1433,17 @@ def _path(
         np.concatenate((before[0], knots, after[0])),
         np.concatenate((before[1], levels, after[1])),
         noise,
-        tuple(turn.bend for turn in turns if turn.bend.stop > turn.bend.start),
+        tuple(bend for bend in _bends(turns) if bend.stop > bend.start),
         interval,
         servo,
         _rest(turns, phases, float(value.max()), interval),
     )
     return path, turns
+
+
+def _bends(turns: Sequence[_Turned]) -> list[Bend]:
+    """Return the changes of speed of a path, a stop and a start apart from each other."""
+    return [bend for turn in turns for bend in turn.bend.halves]
 
 
 def _on_the_object(turn: _Turned, phases: Segmentation, interval: float) -> bool:
@@ -1468,7 +1486,7 @@ def _as_exact(
         if found is None:
             continue
         # A corner that is followed only roughly is none.
-        count = sum(part == _EXACT[0] or turn.bend.stop > turn.bend.start for turn in found[2])
+        count = len(_bends(found[2])) if part == _EXACT[0] else _timed(found)
         if count == found[0].size - 2:
             return least
         if count > most:
@@ -1541,7 +1559,7 @@ def _ways(value: FloatArray) -> int:
 
 def _timed(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
     """Return how many changes of speed of a path are followed by a shape that takes time."""
-    return sum(turn.bend.stop > turn.bend.start for turn in found[2])
+    return len(_bends([turn for turn in found[2] if turn.bend.stop > turn.bend.start]))
 
 
 def _loose(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
@@ -1604,8 +1622,8 @@ def _between_lines(
             new_t += curve[0][inside].tolist()
             new_levels += curve[1][inside].tolist()
             continue
-        new_t.append(found.bend.t)
-        new_levels.append(found.level)
+        new_t += [at for at, _ in found.knots]
+        new_levels += [level for _, level in found.knots]
         turns.append(found)
     rest = slice(pieces[-1][1], None)
     new_t += t[rest].tolist()
@@ -1678,13 +1696,13 @@ def _bent(
             new_knots += knots[group].tolist()
             new_levels += levels[group].tolist()
             continue
-        new_knots.append(found.bend.t)
-        new_levels.append(found.level)
+        new_knots += [at for at, _ in found.knots]
+        new_levels += [level for _, level in found.knots]
         turns.append(found)
     new_knots.append(float(knots[-1]))
     new_levels.append(float(levels[-1]))
     made, heights = np.array(new_knots), np.array(new_levels)
-    path = ToolPath(made, heights, noise, tuple(turn.bend for turn in turns))
+    path = ToolPath(made, heights, noise, tuple(_bends(turns)))
     before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
     after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
     # The pieces between are those of least squares by themselves: all must still follow.
@@ -1833,6 +1851,11 @@ def _known_shape(
         # A turn may be a stop and a start, each half as long and as soft as an S-curve.
         near = Shape(0.35 * shape.duration, 0.2 * shape.duration, shape.lag, 0.0, corner.part)
         left, shape = min((left, shape), _between(corner, near, shift, longest))
+    if left > enough and corner.part > 0.0:
+        # With a rest between the two.
+        wait = shape.as_wait(corner.part)
+        near = Shape(BRISK * wait, 0.0, 0.0, 0.0, corner.part, wait)
+        left, shape = min((left, shape), _between(corner, near, shift, longest))
     if left > enough:
         swinging = []
         for swing in SWINGS:
@@ -1866,19 +1889,22 @@ def _between(corner: Corner, near: Shape, shift: float, longest: float) -> tuple
     What it leaves of the samples comes first [m^2].
     """
     scale = max(near.duration, near.lag, 1e-6)
-    size = 4 if near.swing > 0.0 else 3
+    size = 4 if near.swing > 0.0 or near.wait > 0.0 else 3
 
     def shape(x: FloatArray) -> Shape:
         duration = min(max(float(x[0]) * scale, 1e-9), longest)
         soft = min(max(float(x[2]), 0.0), 1.0)
-        swing = max(float(x[3]), 0.0) if size == 4 else 0.0
+        fourth = max(float(x[3]), 0.0) if size == 4 else 0.0
         lag = min(max(float(x[1]), 0.0) * scale, longest)
-        return Shape(duration, soft * duration, lag, swing, near.part)
+        if near.wait > 0.0:
+            return Shape(duration, soft * duration, lag, 0.0, near.part, fourth * near.wait)
+        return Shape(duration, soft * duration, lag, fourth, near.part)
 
     def cost(x: FloatArray) -> float:
         return corner.left(shape(x), shift) / corner.noise**2
 
-    start = np.array([near.duration / scale, near.lag / scale, near.soft, near.swing])[:size]
+    fourth = 1.0 if near.wait > 0.0 else near.swing
+    start = np.array([near.duration / scale, near.lag / scale, near.soft, fourth])[:size]
     if corner.is_clean:
         highest = np.array([longest / scale, longest / scale, 1.0, WILDEST])[:size]
         lowest = np.array([1e-9 / scale, 0.0, 0.0, 0.0])[:size]

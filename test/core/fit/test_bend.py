@@ -18,7 +18,8 @@
 from dataclasses import replace
 from itertools import pairwise
 
-from hapticvision_ros.core.fit.bend import Corner, rounded, Servo, servo_of, Shape
+from hapticvision_ros.core.fit.bend import Bend, Corner, rounded, Servo, servo_of, Shape
+from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _misread,
     _path,
@@ -432,6 +433,26 @@ def _there_and_back(
     return trials, truth
 
 
+def test_a_stop_and_a_start_are_two_changes_of_speed() -> None:
+    bend = Bend(1.0, -0.03, Shape(0.03, 0.01, 0.02, 0.0, 0.3, 0.1))
+    t = np.linspace(0.5, 2.0, 3001)
+    slopes = 0.3 * 0.03, -0.7 * 0.03
+    whole = np.where(t < 1.0, slopes[0], slopes[1]) * (t - 1.0)
+    within = slice(*np.searchsorted(t, (bend.start, bend.stop)))
+    whole[within] += bend.beyond(t[within])
+    stop, start = bend.halves
+    assert start.t - stop.t == pytest.approx(0.03 + 0.01 + 0.1)
+    rest = slopes[0] * (stop.t - 1.0)
+    assert slopes[1] * (start.t - 1.0) == pytest.approx(rest)
+    apart = rest + np.where(
+        t < stop.t, slopes[0] * (t - stop.t), slopes[1] * np.maximum(t - start.t, 0.0)
+    )
+    for half in (stop, start):
+        within = slice(*np.searchsorted(t, (half.start, half.stop)))
+        apart[within] += half.beyond(t[within])
+    assert apart == pytest.approx(whole, abs=2e-6)
+
+
 def test_a_turn_may_be_a_stop_and_a_start() -> None:
     """Encoders of 50 Hz have some seven samples of it."""
     trials, truth = _there_and_back((0.002, 0.01, 0.002, 0.01), 0.03, 0.006, 1e-6, 0.02)
@@ -440,7 +461,9 @@ def test_a_turn_may_be_a_stop_and_a_start() -> None:
     assert servo.parted
     turned = max(corners, key=lambda corner: corner.part)
     assert turned.part == pytest.approx(0.5, abs=0.01)
-    assert servo.at(turned).spans == pytest.approx(2.0 * RAMP, rel=0.1)
+    # How much a half wave and the next are spread in time.
+    spread = RAMP * np.sqrt(0.25 - 2.0 / np.pi**2 + 0.25)
+    assert servo.at(turned).as_wait(0.5) == pytest.approx(2.0 * spread, rel=0.02)
     for trial, phases in trials:
         path = tool_path(Signal(trial.tool_height.t, TOP - trial.tool_height.value), phases, servo)
         changes = truth.pop(0)
@@ -448,6 +471,27 @@ def test_a_turn_may_be_a_stop_and_a_start() -> None:
         off = path.at(near) - (_eased(near, changes) - 0.022)
         # A change of speed that does not pass through rest is off by 13 and 60 um.
         assert np.abs(off).max() < 3e-6
+
+
+def test_a_turn_may_be_a_stop_a_wait_and_a_start() -> None:
+    """Encoders with 1 um of noise see a wait of 0.1 s much as an acceleration of 0.17 s."""
+    pushes = tuple(Push(2.5e-4, depth, 0.1, 2.0, 2.5e-4) for depth in (7.5e-4, 1.5e-3) * 2)
+    sensors = Sensors(ForceNoise(0.3), 7e-6, force_rate=500.0, tool_rate=200.0, height_rate=20.0)
+    trials = [
+        (trial, segment(trial.force, trial.tool_height, trial.displacement_height))
+        for trial in run(Campaign(Body(1.5e5, 3.7e5, 5.1e5), pushes, sensors), seed=2).trials
+    ]
+    servo, corners = arm_of(trials)
+    assert servo is not None
+    assert len(corners) == len(pushes)
+    assert servo.wait == pytest.approx(0.1, rel=0.02)
+    made, _ = prepare(trials)
+    for trial, corner in zip(made, corners, strict=True):
+        assert trial is not None
+        middle = corner.meeting(0.0)[0] + np.linspace(-0.04, 0.04, 9)
+        assert np.abs(np.diff(trial.path.at(middle)) / 0.01).max() < 1e-3 * pushes[0].speed
+    # A body as viscous makes a force of 100 N of how it comes to rest.
+    assert fit(trials).noise.blur.later == 1.0
 
 
 def test_quick_ways_in_the_air_tell_what_slow_ones_on_the_object_do_not() -> None:
