@@ -15,6 +15,7 @@
 """The object holds the tool back on withdrawal."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 from typing import Final
 
@@ -33,11 +34,22 @@ the tool withdraws is let go several times, and the force that does so is known 
 """
 
 
+_PULLED: Final = (0.8, 0.9, 1.0, 1.1)
+"""Those of a zone that goes on to pull, whose force shows for a while."""
+_OPENINGS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Openings of it that are tried, over a twentieth of the depth."""
+
+
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.ADHESION, values[0])
 
 
-EFFECT = Effect(
+def _zone(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    draft.add(Slot.ADHESION, values[0])
+    draft.add(Slot.OPENING, values[1])
+
+
+_AT_ONCE: Final = Effect(
     name='adhesion',
     title='Adhesion',
     kind='object',
@@ -64,4 +76,39 @@ EFFECT = Effect(
         'doi:10.1098/rspa.1971.0141 (pull-off force).'
     ),
     shape=_shape,
+)
+
+EFFECT = replace(
+    _AT_ONCE,
+    laws=(
+        _AT_ONCE.following(
+            'cohesive_zone',
+            sketch="""
+    F = -F_ad from where F would fall below it until tool and surface are delta_c apart
+    """,
+            validity=(
+                'A film, or necks of the object itself, that pull with a force that depends '
+                'neither on how far they are drawn out nor on the speed.'
+            ),
+            source=(
+                'D. S. Dugdale, J. Mech. Phys. Solids 8, 1960, 100-104, '
+                'doi:10.1016/0022-5096(60)90013-2 (constant traction up to an opening); D. '
+                'Maugis, J. Colloid Interface Sci. 150, 1992, 243-269, '
+                'doi:10.1016/0021-9797(92)90285-T (as adhesion).'
+            ),
+            shape=_zone,
+            parameters=(
+                replace(_AT_ONCE.parameters[0], scan=_PULLED),
+                EffectParameter(
+                    'delta_c',
+                    'm',
+                    'opening between tool and surface at which the pull ends',
+                    0.0,
+                    math.inf,
+                    lambda scale: 0.05 * scale.depth,
+                    scan=_OPENINGS,
+                ),
+            ),
+        ),
+    ),
 )

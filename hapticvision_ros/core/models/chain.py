@@ -45,7 +45,9 @@ Touch and loss of contact fall inside steps: a step is split there, so that forc
 continuous and differentiable functions of the contact offset, the pull-off force and all others.
 The loss is where a straight line through the force meets the pull-off force, and earlier where
 the chain relaxes so fast within the step that the part up to there would pull on average. A tool
-that does not withdraw is left by no force that only relaxes.
+that does not withdraw is left by no force that only relaxes. A cohesive zone goes on to pull at
+the surface, with the pull-off force, until it has opened; where that ends within a step follows
+from how fast it opened in the step before.
 The mass M takes the tool's speed at the touch and, once free, swings on the chain until the tool
 meets it again; a corner of the tool's path is passed within one step, over which the load cell
 averages the blow.
@@ -104,6 +106,8 @@ class Slot(IntEnum):
     """How much deeper the tool is than its measured displacement [m]."""
     MASS = 14
     """M, which moves with the surface [kg]."""
+    OPENING = 15
+    """How far tool and surface are apart where F_ad lets go [m]; zero where it does so at once."""
 
 
 def neutral() -> FloatArray:
@@ -112,7 +116,7 @@ def neutral() -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (15,)
+    ndarray, shape (16,)
         Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
 
     """
@@ -128,7 +132,7 @@ class Chain:
 
     Parameters
     ----------
-    slots : ndarray, shape (15,)
+    slots : ndarray, shape (16,)
         One number for each `Slot`.
     unit_stiffness, unit_viscosity : ndarray, shape (n,)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
@@ -229,6 +233,7 @@ _DREF = int(Slot.REFERENCE_DEPTH)
 _FAD = int(Slot.ADHESION)
 _OFF = int(Slot.OFFSET)
 _MASS = int(Slot.MASS)
+_OPEN = int(Slot.OPENING)
 
 _TOLERANCE = 1e-6
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
@@ -455,7 +460,7 @@ def _respond(  # type: ignore[no-untyped-def]
     k1, c1, c2, f_y = q[_K1], q[_C1], q[_C2], q[_FY]
     beta, damage, d_ref = q[_BETA], q[_D], q[_DREF]
     c0, cm, kp, m = q[_C0], q[_CM], q[_KP], q[_M]
-    f_ad, offset = q[_FAD], q[_OFF]
+    f_ad, offset, opening = q[_FAD], q[_OFF], q[_OPEN]
     p = 1.0 / q[_N]
     plain = beta == 0.0 and damage == 0.0
     linear = plain and p == 1.0 and f_y == 0.0 and m == 0.0
@@ -542,6 +547,15 @@ def _respond(  # type: ignore[no-untyped-def]
     dzu_kept = np.zeros((directions, units))
     dzu = np.zeros((directions, units))
 
+    # How far a cohesive zone is open, and how fast it opens; its mean force over a pass.
+    cohesive = opening > 0.0
+    held_back = False
+    gap_open = 0.0
+    opens = 0.0
+    tear = 0.0
+    d_gap_open = np.zeros(directions)
+    d_opens = np.zeros(directions)
+    d_tear = np.zeros(directions)
     contact = False
     virgin = True
     rate = 0.0
@@ -615,7 +629,7 @@ def _respond(  # type: ignore[no-untyped-def]
         i += 1
         h = t[i + 1] - t[i]
         d_end = d[i + 1] + offset
-        if bare and not virgin:
+        if bare and not virgin and not held_back:
             if abs(h - bare_h) > _SAME * h:
                 bare_h = h
                 h_known = -1.0
@@ -705,7 +719,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 d_force[j, i] = 0.0
                 d_surface[j, i + 1] = 0.0
             continue
-        if brisk and not virgin and (contact or quick or not massive):
+        if brisk and not virgin and not held_back and (contact or quick or not massive):
             if contact != brisk_contact or abs(h - brisk_h) > _SAME * h:
                 brisk_h = h
                 brisk_contact = contact
@@ -1030,6 +1044,12 @@ def _respond(  # type: ignore[no-untyped-def]
             inert = swing * mass / (hs * hs)
             ahead = x + hs * speed
             pull = (d[i + 1] - d[i]) / h
+            tear = 0.0
+            torn = 1.0
+            if held_back and not touching:
+                if opens > 0.0:
+                    torn = min(max((opening - gap_open) / (opens * hs), 0.0), 1.0)
+                tear = f_ad * torn
             lead = 0.0
             machine_lead = 0.0
             climb = 0.0
@@ -1066,7 +1086,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     g += cm * machine_lead
                     g_slope = x_slope + cm * end * total_slope
                 else:
-                    g = total + inert * (x_end - ahead)
+                    g = total + tear + inert * (x_end - ahead)
                     g_slope = total_slope + inert * x_slope
                 u = -g / g_slope
                 fc += slope * u
@@ -1102,11 +1122,11 @@ def _respond(  # type: ignore[no-untyped-def]
                         g = x_end - target + cm * (machine_force + end * (total - machine_force))
                         g += cm * machine_lead
                         g_slope = x_slope + cm * end * total_slope
-                    elif kp == 0.0 and mass == 0.0:
+                    elif kp == 0.0 and mass == 0.0 and not held_back:
                         g = fc
                         g_slope = slope
                     else:
-                        g = total + inert * (x_end - ahead)
+                        g = total + tear + inert * (x_end - ahead)
                         g_slope = total_slope + inert * x_slope
                     change = -g / g_slope
                     u += change
@@ -1128,6 +1148,10 @@ def _respond(  # type: ignore[no-untyped-def]
                     if split:
                         if mean < -f_ad:
                             touching = False
+                            held_back = cohesive
+                            gap_open = 0.0
+                            opens = 0.0
+                            d_gap_open[:] = 0.0
                             share = 1.0
                             split = False
                             rate = 0.0
@@ -1139,6 +1163,7 @@ def _respond(  # type: ignore[no-untyped-def]
             if not touching and not contact and x_end < d_end:
                 touching = True
                 contact = True
+                held_back = False
                 rate = 0.0
                 rate_before = 0.0
                 if d_end > x > d[i] + offset:
@@ -1201,6 +1226,13 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_inert = d_swing_weight * mass + swing * dq[j, _MASS]
                         d_inert *= per_hs * per_hs
                         d_inert -= 2.0 * inert * per_hs * dhs
+                    d_tear[j] = 0.0
+                    if held_back and not touching:
+                        d_tear[j] = dq[j, _FAD] * torn
+                        if 0.0 < torn < 1.0:
+                            d_torn = (dq[j, _OPEN] - d_gap_open[j]) / (opens * hs)
+                            d_torn -= torn * (d_opens[j] / opens + dhs * per_hs)
+                            d_tear[j] += f_ad * d_torn
                     d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
                     dl = 0.0
                     d_machine_lead = 0.0
@@ -1250,10 +1282,10 @@ def _respond(  # type: ignore[no-untyped-def]
                                 + d_end_weight * jump
                                 + d_machine_lead
                             )
-                    elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive:
+                    elif kp == 0.0 and dq[j, _KP] == 0.0 and not massive and not held_back:
                         dg = dfc
                     else:
-                        dg = d_total + d_inert * (x_end - ahead)
+                        dg = d_total + d_tear[j] + d_inert * (x_end - ahead)
                         dg += inert * (d_sum - dx[j] - hs * d_speed[j] - dhs * speed)
                     du = -dg * inverse
                     dfc += slope * du
@@ -1293,6 +1325,12 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_speed[j] = 0.0
                     else:
                         d_machine_force[j] = 0.0
+                        if held_back:
+                            d_force[j, i] -= d_tear[j] * (hs / h) + tear * dhs / h
+                            d_gap = dx[j] - dq[j, _OFF] - cm * dq[j, _FAD] - dq[j, _CM] * f_ad
+                            wider = (x_end - d_end - cm * f_ad - gap_open) * per_hs
+                            d_opens[j] = (d_gap - d_gap_open[j] - wider * dhs) * per_hs
+                            d_gap_open[j] = d_gap
                     d_surface[j, i + 1] = dx[j]
 
             if probing:
@@ -1320,6 +1358,10 @@ def _respond(  # type: ignore[no-untyped-def]
                 share = 1.0
                 if at_once <= -f_ad:
                     touching = False
+                    held_back = cohesive
+                    gap_open = 0.0
+                    opens = 0.0
+                    d_gap_open[:] = 0.0
                     rate = 0.0
                     rate_before = 0.0
                     stage = _SURE
@@ -1353,6 +1395,13 @@ def _respond(  # type: ignore[no-untyped-def]
             else:
                 machine_force = 0.0
                 speed += swing / hs * (x_end - ahead)
+                if held_back:
+                    force[i] -= tear * (hs / h)
+                    # A tool that is held back is off by what its arm gives.
+                    gap = x_end - d_end - cm * f_ad
+                    opens = (gap - gap_open) / hs
+                    gap_open = gap
+                    held_back = torn == 1.0
             x = x_end
             surface[i + 1] = x_end
             contact = touching
@@ -1363,6 +1412,10 @@ def _respond(  # type: ignore[no-untyped-def]
             stage = _REST
             share = 1.0 - share
             touching = False
+            held_back = cohesive
+            gap_open = 0.0
+            opens = 0.0
+            d_gap_open[:] = 0.0
             contact = True
             rate = 0.0
             rate_before = 0.0

@@ -71,6 +71,7 @@ STRONG = {
     'arm_clock_offset.dt': 0.013,
     'b': 4e-4,
     'F_ad': 0.5,
+    'delta_c': 2e-4,
     'T_f': 0.05,
 }
 """Strengths where the first guess is the absence."""

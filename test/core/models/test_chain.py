@@ -59,6 +59,7 @@ class Body:
     K_p: float = 0.0
     m: float = 0.0
     F_ad: float = 0.0
+    delta_c: float = 0.0
     M: float = 0.0
     units: tuple[tuple[float, float], ...] = field(default=())
 
@@ -72,7 +73,7 @@ class Body:
         slots[Slot.MACHINE_COMPLIANCE] = 1.0 / self.K_m
         slots[Slot.PARALLEL_STIFFNESS], slots[Slot.CONTACT_EXPONENT] = self.K_p, self.m
         slots[Slot.REFERENCE_DEPTH], slots[Slot.ADHESION] = DEPTH, self.F_ad
-        slots[Slot.MASS] = self.M
+        slots[Slot.MASS], slots[Slot.OPENING] = self.M, self.delta_c
         units = np.array(self.units).reshape(-1, 2)
         return Chain(slots, units[:, 0].copy(), units[:, 1].copy())
 
@@ -108,7 +109,7 @@ class Body:
 
 
 def _reference(body: Body, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return mean forces over the steps, the surface at their ends, and the time of the loss."""
+    """Return mean forces over the steps, the surface at their ends, and when it lets go."""
     parts = 3 + len(body.units)
     elastic = math.isfinite(body.K_0) or math.isfinite(body.K_m)
 
@@ -139,16 +140,22 @@ def _reference(body: Body, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, float
         force = s[parts] if elastic else body.force_at_speed(speed, s[:parts])
         return contact(force, s) + body.F_ad
 
-    def free(_: float, s: np.ndarray) -> np.ndarray:
-        force = 0.0
-        if body.K_p > 0.0:
-            # The parallel spring presses the chain flat.
-            h0 = height(s[:parts], 0.0)
-            force = -body.K_p * h0 / (1.0 + body.K_p / body.K_0)
-        return np.array([*body.rates(force, s[:parts]), 0.0, 0.0])
+    def under(pull: float, states: np.ndarray) -> np.ndarray:
+        # The parallel spring presses the chain flat; what holds the surface pulls at both.
+        h0 = states[0] + states[2:parts].sum(axis=0)
+        return np.asarray(-(pull + body.K_p * h0) / (1.0 + body.K_p / body.K_0))
+
+    def free(_: float, s: np.ndarray, pull: float) -> np.ndarray:
+        return np.array([*body.rates(float(under(pull, s)), s[:parts]), 0.0, -pull])
+
+    def torn(now: float, s: np.ndarray, pull: float) -> float:
+        h = height(s[:parts], float(under(pull, s)))
+        tip = np.interp(now, KNOT_T, KNOT_D) + pull / body.K_m
+        return float(h - tip - body.delta_c)
 
     lost.terminal = True  # type: ignore[attr-defined]
     lost.direction = -1.0  # type: ignore[attr-defined]
+    torn.terminal = True  # type: ignore[attr-defined]
     state = np.zeros(parts + 2)
     impulse, surface = np.zeros(t.size), np.zeros(t.size)
     options = {'method': 'Radau', 'rtol': 1e-8, 'atol': 1e-13, 'dense_output': True}
@@ -176,13 +183,16 @@ def _reference(body: Body, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, float
             t_loss = run.t[-1]
             break
     if math.isfinite(t_loss):
-        after = t > t_loss
-        impulse[after] = state[-1]
-        run = solve_ivp(free, (t_loss, t[-1]), state, **options)
-        states = run.sol(t[after])
-        heights = states[0] + states[2:parts].sum(axis=0)
-        forces = -body.K_p * heights / (1.0 + body.K_p / body.K_0)
-        surface[after] = heights + forces / body.K_0
+        for pull in (body.F_ad, 0.0) if body.delta_c else (0.0,):
+            events = torn if pull else None
+            run = solve_ivp(free, (t_loss, t[-1]), state, args=(pull,), events=events, **options)
+            after = t > t_loss
+            states = run.sol(t[after])
+            impulse[after] = states[-1]
+            surface[after] = (
+                states[0] + states[2:parts].sum(axis=0) + under(pull, states) / body.K_0
+            )
+            t_loss, state = (run.t[-1], run.y[:, -1]) if pull else (t_loss, state)
     return np.diff(impulse) / np.diff(t), surface, t_loss
 
 
@@ -199,6 +209,11 @@ BODIES = {
     'machine': Body(K_m=3e4),
     'adhesion': Body(F_ad=1.0),
     'adhesion on a spring': Body(F_ad=1.0, K_0=2e4),
+    'cohesive zone': Body(F_ad=1.0, delta_c=1e-3),
+    'cohesive zone on springs in a machine': Body(
+        F_ad=1.0, delta_c=1e-3, K_0=3e4, K_p=200.0, K_m=5e4
+    ),
+    'cohesive zone that draws a stiffening body out': Body(F_ad=3.0, delta_c=2e-3, beta=3e4),
     'slider on a stiffening spring in a soft machine': Body(F_y=4.0, beta=3e4, K_m=3e4),
     'two springs': Body(K_0=3e4, K_m=5e4, K_p=200.0),
     'thinning with a second unit': Body(n=0.7, units=((15000.0, 9000.0),)),
