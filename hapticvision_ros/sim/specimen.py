@@ -99,6 +99,7 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'touch_shadow': (Quantity('b', 'm', 0.0),),
     'loose_top': (Quantity('delta_0', 'm', 0.0),),
     'ageing_by_trial': (Quantity('rate', '1/h', 0.0),),
+    'necking': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
 }
 """
 Effects of the contract by laws that differ from those of `LIBRARY`.
@@ -109,7 +110,8 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``early_shadow``: the height is biased from when the tool is `clearance` above the object;
 ``touch_shadow``: the height is biased while the tool touches the object;
 ``loose_top``: the top is pushed down by `delta_0` before the object resists, and stays down;
-``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it.
+``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it;
+``necking``: adhesion that pulls on with its force until necks of `length` have been drawn out.
 """
 
 LAW_OF: Final[Mapping[str, str]] = {
@@ -120,6 +122,7 @@ LAW_OF: Final[Mapping[str, str]] = {
     'touch_shadow': 'height_bias',
     'loose_top': 'contact_offset',
     'ageing_by_trial': 'ageing',
+    'necking': 'adhesion',
 }
 """Whose laws these are."""
 
@@ -504,6 +507,8 @@ _D = _SLOTS['damage', 'D']
 _AGE = _SLOTS['ageing', 'rate']
 _AGE_BY_TRIAL = _SLOTS['ageing_by_trial', 'rate']
 _FAD = _SLOTS['adhesion', 'F_ad']
+_NECKED = _SLOTS['necking', 'F_ad']
+_NECK = _SLOTS['necking', 'length']
 _MASS = _SLOTS['inertia', 'M']
 _KM = _SLOTS['machine_compliance', 'K_m']
 _CRACK = _SLOTS['fracture', 'share']
@@ -528,13 +533,13 @@ _Z, _Y, _ZU, _SHIFT, _H, _V, _Z_MAX, _BUILD, _TURN, _SLIDE, _WHOLE, _FIRST_MODE 
 
 @kernel(error_model='numpy')
 def _stage(  # type: ignore[no-untyped-def]
-    q, d_ref, factor, w, kept, give, flow, kp, kept_p, base, e, d, v, a, contact, out
+    q, d_ref, factor, w, kept, give, flow, kp, kept_p, base, e, d, v, a, contact, necks, out
 ):
     """
     Set out in `out` an implicit stage of length e from `base`; return the contact force.
 
     The tool is at d with the speed v and the acceleration a; `kept` and `kept_p` are what a stage
-    leaves of the modes of springpot and pores.
+    leaves of the modes of springpot and pores; `necks` is the force of necks between the two.
     """
     c1, c2 = q[1], q[2] * (1.0 - q[_THIXO] * (1.0 - base[_BUILD]))
     threshold = q[_FY] / factor
@@ -616,7 +621,7 @@ def _stage(  # type: ignore[no-untyped-def]
             total += q[_MASS] * ((x - x_before) / e - v_before) / e
             d_total += q[_MASS] * dx / (e * e)
         if not contact:
-            miss, d_miss = total, d_total
+            miss, d_miss = total + necks, d_total
         elif bound:
             miss, d_miss = x - d, dx
         else:
@@ -652,7 +657,7 @@ def _stage(  # type: ignore[no-untyped-def]
     for j in range(pores):
         at = _FIRST_MODE + modes + j
         out[at] = kept_p[j] * (base[at] + kp[j] * (x - x_before))
-    return total if contact else 0.0
+    return total if contact else -necks
 
 
 @kernel(error_model='numpy')
@@ -673,6 +678,7 @@ def _step(  # type: ignore[no-untyped-def]
     h,
     path,
     contact,
+    necks,
     middle,
     after,
 ):
@@ -714,6 +720,7 @@ def _step(  # type: ignore[no-untyped-def]
             v,
             path[2],
             contact,
+            necks,
             after,
         )
         impulse += (e if stage else h - e) * force
@@ -777,7 +784,8 @@ def _push(  # type: ignore[no-untyped-def]
     kept_e = np.zeros(1)
     path = np.zeros(3)
     timers = np.zeros(2)
-    pull_off = q[_FAD]
+    pull_off = q[_FAD] + q[_NECKED]
+    necks = 0.0
     rigid = np.isinf(q[_KM])
     contact = False
     virgin = True
@@ -825,11 +833,16 @@ def _push(  # type: ignore[no-untyped-def]
                         h,
                         path,
                         contact,
+                        necks,
                         middle,
                         after,
                     )
                     gap -= after[_H]
                 beyond = force < -pull_off if contact else gap > 0.0
+                if necks > 0.0:
+                    # What holds the tool back pulls it out of a soft arm.
+                    gap += necks / q[_KM]
+                    beyond = gap > 0.0 or gap < -q[_NECK]
                 if not changes and not (watched and beyond):
                     break
                 # Bisection: until the end of the step is where contact changes, and just beyond.
@@ -854,9 +867,14 @@ def _push(  # type: ignore[no-untyped-def]
                 done = whole
             given += push + blow
             blow = 0.0
-            if changes:
+            if changes and necks > 0.0 and gap < -0.5 * q[_NECK]:
+                necks = 0.0
+            elif changes:
                 contact = not contact
                 virgin = False
+                necks = 0.0
+                if not contact and q[_NECK] > 0.0:
+                    necks = q[_NECKED]
                 if contact:
                     if np.isnan(touch):
                         touch = grid[i] + done

@@ -217,6 +217,22 @@ def test_adhesion_holds_the_tool_back_down_to_the_pull_off_force() -> None:
     assert -pull_off < stuck.force.min() < -0.95 * pull_off
 
 
+def test_necks_hold_the_tool_back_until_they_are_drawn_out() -> None:
+    pull_off, length, speed = 1.5, 4e-4, 0.0012
+    necks = Undeclared('necking', (pull_off, length))
+    grid = np.arange(0.0, PUSHED + HOLD + 6.0, STEP)
+    got = integrate(grid, motion(release=speed), parameter_vector(BODY, [necks]))
+    until = got.t_loss
+    t = 0.5 * (got.t[1:] + got.t[:-1])
+    drawn = (got.force < -0.999 * pull_off) & (t > until)
+    assert got.force.min() == pytest.approx(-pull_off)
+    assert not got.force[t > t[drawn].max() + STEP].any()
+    # Where they are drawn out the surface is as far behind the tool.
+    end = int(np.flatnonzero(drawn)[-1]) + 1
+    away = got.surface[end] - motion(release=speed).at(got.t[end : end + 1])[0][0]
+    assert away == pytest.approx(length, abs=speed * STEP)
+
+
 def test_the_blow_of_a_mass_is_its_momentum() -> None:
     mass = 0.4
     with_mass = push(Undeclared('inertia', (mass,)), until=0.1)
@@ -276,6 +292,7 @@ CLEAR = {
     'damage': (0.3,),
     'ageing': (2.0,),
     'adhesion': (0.5,),
+    'necking': (0.5, 3e-4),
     'inertia': (0.5,),
     'machine_compliance': (2e4,),
     'poroelasticity': (300.0, 3.0),

@@ -58,6 +58,7 @@ from hapticvision_ros.core.fit.noise_model import (
     Whitener,
     whitener,
 )
+from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
 
@@ -505,6 +506,10 @@ class Workbench:
         slow = slow_body(self.trials, body)
         if slow is not None:
             bodies.append(slow)
+        if len(scans) > _CLOSE_BY:
+            # What shows when the tool leaves has bent what is told from all of a trial.
+            held = identify(self.trials, near.force_noise.white)
+            bodies.append({'K1': held.K1, 'C1': held.C1, 'C2': held.C2})
         states = []
         for factor, scan, each in product(factors, scans, bodies):
             values = model.values(begin[: problem.p])

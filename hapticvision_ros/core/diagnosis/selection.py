@@ -30,6 +30,7 @@ very strong evidence, one of six strong).
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 import math
 from typing import Final
 
@@ -82,6 +83,8 @@ BLUNT: Final = 1.0
 """Samples to which moments are known, above which a search is made as if they were known."""
 _SIZES: Final = np.geomspace(0.7, 1.6, 24)
 """Sizes over a known one that are looked at where a search does not find its way."""
+_IN_TURN: Final = (_SIZES, np.geomspace(0.95, 1.05, 24), np.geomspace(0.98, 1.02, 24))
+"""Those where there are two of them."""
 CERTAIN: Final = 40.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.15
@@ -464,16 +467,19 @@ def _sharper(known: Refit, effect: str) -> list[Refit]:
     if rough:
         problem = Problem(known.model, known.problem.trials, known.problem.scatter)
         problem.set_noise(known.force_noise, known.height_noise, jumps)
-        values = known.model.values(known.theta)
-        place = known.model.names.index(rough[0])
-        left = []
-        for size in values[place] * _SIZES:
-            values[place] = size
-            state = known.state.copy()
-            state[: values.size] = known.model.theta(values)
-            residual, _ = problem.evaluate(state)
-            left.append((float(residual @ residual), state))
-        _, state = min(left, key=lambda each: each[0])
+        state = known.state
+        # What two of them do together is looked at in turn, and then more finely.
+        for sizes, symbol in product((_SIZES,) if len(rough) == 1 else _IN_TURN, rough):
+            values = known.model.values(state[: known.problem.p])
+            place = known.model.names.index(symbol)
+            left = []
+            for size in values[place] * sizes:
+                values[place] = size
+                other = state.copy()
+                other[: values.size] = known.model.theta(values)
+                residual, _ = problem.evaluate(other)
+                left.append((float(residual @ residual), other))
+            _, state = min(left, key=lambda each: each[0])
         jumps = problem.unsure(state, SHARPEST)
         starts.append(replace(known, state=state, blur=SHARPEST, jumps=jumps))
     return starts

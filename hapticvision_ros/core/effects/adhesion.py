@@ -34,10 +34,10 @@ the tool withdraws is let go several times, and the force that does so is known 
 """
 
 
-_PULLED: Final = (0.8, 0.9, 1.0, 1.1)
+_PULLED: Final = (0.4, 0.6, 0.75, 0.85, 0.92, 0.96, 1.0, 1.04)
 """Those of a zone that goes on to pull, whose force shows for a while."""
-_OPENINGS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""Openings of it that are tried, over a twentieth of the depth."""
+_OPENINGS: Final = (0.4, 0.6, 0.8, 0.9, 0.96, 1.0, 1.04, 1.1, 1.25, 1.6, 2.5)
+"""Openings of it that are tried, over the one that is seen."""
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
@@ -105,7 +105,7 @@ EFFECT = replace(
                     'opening between tool and surface at which the pull ends',
                     0.0,
                     math.inf,
-                    lambda scale: 0.05 * scale.depth,
+                    lambda scale: scale.opening or 0.05 * scale.depth,
                     scan=_OPENINGS,
                 ),
             ),

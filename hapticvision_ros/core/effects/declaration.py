@@ -101,6 +101,8 @@ class Scale:
         The strongest line in the spectrum of the force's noise [N, Hz].
     pull : float
         Largest force that holds the tool back on withdrawal, noise included [N].
+    opening : float
+        How far tool and surface are apart where that force ends; zero where it is not seen [m].
 
     """
 
@@ -116,6 +118,7 @@ class Scale:
     disturbance_amplitude: float = 0.0
     disturbance_frequency: float = 50.0
     pull: float = 0.0
+    opening: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

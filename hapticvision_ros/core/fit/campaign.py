@@ -147,6 +147,8 @@ _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
+_LAST_HELD: Final = 6
+"""Heights before a pull ends that tell where the surface is then."""
 _TURNS: Final = 5
 """Periods in a trial below which a line is none: anything smooth has such."""
 _FEWEST_HEIGHTS: Final = 8
@@ -1687,6 +1689,7 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         early = float(np.interp(0.9 * reach, *_rising(trial, deepest)))
         speeds.append(0.9 * reach / max(early - trial.t_contact, trial.interval))
     line = line_spectrum(problem, state)
+    pull = _pull(problem, state)
     return Scale(
         K1=float(K1),
         C1=float(C1),
@@ -1699,7 +1702,8 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         campaign_time=max(trial.campaign_time for trial in trials),
         disturbance_amplitude=line.amplitude,
         disturbance_frequency=line.frequency,
-        pull=_pull(problem, state),
+        pull=pull,
+        opening=_opening(problem, state, pull),
     )
 
 
@@ -1714,6 +1718,29 @@ def _pull(problem: Problem, state: FloatArray) -> float:
             _, zero, _ = problem.own(state, index)
             pulls.append(zero - float(trial.force[seen].min()))
     return max(float(np.median(pulls)), 0.0) if pulls else 0.0
+
+
+def _opening(problem: Problem, state: FloatArray, pull: float) -> float:
+    """Return how far tool and surface are apart where a force that holds the tool back ends."""
+    openings = []
+    for index, trial in enumerate(problem.trials):
+        if trial.t_release is None:
+            continue
+        own, zero, height_zero = problem.own(state, index)
+        held = (trial.t[1:] > trial.t_release) & (trial.force_count > 0.0)
+        held &= trial.force - zero < -0.5 * pull
+        if not held.any():
+            continue
+        end = float(trial.t[1:][held][-1])
+        near = slice(*np.searchsorted(trial.height_t, (trial.t_release, end)))
+        # The surface comes up as it goes on, and falls back when it is let go.
+        t, height = (each[near][-_LAST_HELD:] for each in (trial.height_t, trial.height))
+        if t.size < 2:
+            continue
+        surface = float(np.polyfit(t - end, height, 1)[1])
+        tool = float(np.interp(end, trial.t, trial.displacement)) + float(own[0])
+        openings.append(surface - height_zero - tool)
+    return max(float(np.median(openings)), 0.0) if openings else 0.0
 
 
 def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:
