@@ -68,6 +68,7 @@ _LAWS: Final = (
     'contact_growth',
     'exponential_stiffening',
     'ageing',
+    'adhesion:cohesive_zone',
 )
 """Effects that a link with constant numbers cannot hold."""
 _DIGITS: Final = 10
@@ -203,6 +204,7 @@ def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) ->
 _WITHOUT_FORM: Final = {
     'M': 'the mass that moves with the contact point is none of a volume of the material',
     'F_ad': 'a pull-off force goes with the edge of the contact, not with its area',
+    'delta_c': 'the opening at which a pull ends is that of the surface, not of the material',
 }
 
 
@@ -276,7 +278,7 @@ def links(model: Model, parameters: Mapping[str, float]) -> dict[str, Any]:
                 },
             }
             for effect in model.declared
-            if effect.named in _LAWS
+            if effect.named in _LAWS or effect.name in _LAWS
         },
     }
 

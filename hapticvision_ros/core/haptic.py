@@ -53,8 +53,8 @@ RATE: Final = 1000.0
 _COUNTED_FROM_DEPTH: Final = ('damage', 'contact_growth')
 
 _Z, _Y, _X, _Z_MAX, _SPEED, _CHAIN_FORCE, _MEAN, _TOOL, _RATE, _RATE_BEFORE = range(10)
-_CONTACT, _VIRGIN, _STEADY = range(10, 13)
-_FLOW_SERIES = 13
+_CONTACT, _VIRGIN, _STEADY, _HELD_BACK, _GAP, _OPENS = range(10, 16)
+_FLOW_SERIES = 16
 _GROWTH_SERIES = _FLOW_SERIES + 8
 _STATES = _GROWTH_SERIES + 8
 """Powers of the flow unit and of the contact; then the further units' stretches."""
@@ -72,6 +72,7 @@ _M = int(Slot.CONTACT_EXPONENT)
 _DREF = int(Slot.REFERENCE_DEPTH)
 _FAD = int(Slot.ADHESION)
 _MASS = int(Slot.MASS)
+_OPEN = int(Slot.OPENING)
 _GROWTH = len(Slot)
 """Behind the slots of the chain: a of exponential stiffening [1/m]."""
 
@@ -123,6 +124,8 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     speed, chain_force = state[_SPEED], state[_CHAIN_FORCE]
     rate, rate_before = state[_RATE], state[_RATE_BEFORE]
     contact = state[_CONTACT] > 0.0
+    # How far a cohesive zone is open, and how fast it opens.
+    held_back, gap, opens = state[_HELD_BACK] > 0.0, state[_GAP], state[_OPENS]
     x_start = x
 
     share = 1.0
@@ -160,6 +163,12 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         inert = swing * mass / (hs * hs)
         ahead = x + hs * speed
         pull = (d_end - d_start) / h
+        tear = 0.0
+        torn = 1.0
+        if held_back and not touching:
+            if opens > 0.0:
+                torn = min(max((q[_OPEN] - gap) / (opens * hs), 0.0), 1.0)
+            tear = f_ad * torn
         lead = 0.0
         if touching and c0 > 0.0:
             _lead(
@@ -200,11 +209,11 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             if touching:
                 g = x_end - target
                 g_slope = x_slope
-            elif kp == 0.0 and mass == 0.0:
+            elif kp == 0.0 and mass == 0.0 and not held_back:
                 g = fc
                 g_slope = slope
             else:
-                g = total + inert * (x_end - ahead)
+                g = total + tear + inert * (x_end - ahead)
                 g_slope = total_slope + inert * x_slope
             change = -g / g_slope
             u += change
@@ -222,6 +231,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                 if split:
                     if mean < -f_ad:
                         touching = False
+                        held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
                         share = 1.0
                         split = False
                         rate = 0.0
@@ -232,6 +242,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                     probing = True
         if not touching and not contact and x_end < d_end:
             touching = True
+            held_back = False
             contact = True
             rate = 0.0
             rate_before = 0.0
@@ -248,6 +259,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             share = 1.0
             if first <= -f_ad:
                 touching = False
+                held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
                 rate = 0.0
                 rate_before = 0.0
                 stage = _SURE
@@ -275,6 +287,11 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             speed = pull
         else:
             speed += swing / hs * (x_end - ahead)
+            if held_back:
+                force -= tear * share
+                opens = (x_end - d_end - gap) / hs
+                gap = x_end - d_end
+                held_back = torn == 1.0
         x = x_end
         contact = touching
         if stage != _LAST:
@@ -282,6 +299,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         stage = _REST
         share = 1.0 - share
         touching = False
+        held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
         contact = True
         rate = 0.0
         rate_before = 0.0
@@ -289,6 +307,8 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     state[_SPEED], state[_CHAIN_FORCE] = speed, chain_force
     state[_RATE], state[_RATE_BEFORE] = rate, rate_before
     state[_CONTACT] = 1.0 if contact else 0.0
+    state[_HELD_BACK] = 1.0 if held_back else 0.0
+    state[_GAP], state[_OPENS] = gap, opens
     state[_MEAN] = force
     # Within the step in which the touch ends the rule may pull by some thousandths of the peak.
     force = max(force, -f_ad)

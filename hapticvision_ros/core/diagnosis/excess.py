@@ -318,8 +318,9 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
     height_alike = _alike(found.height_noise, first.height_interval)
-    # A coarse load cell may read the same without contact, and round in it.
+    # A coarse sensor may read the same without contact, and round in it.
     coarse = max(rounding(t.samples.force[t.samples.good]) for t in problem.trials)
+    height_coarse = max(rounding(t.full_rate.height) for t in problem.trials)
     force_memory = height_memory = 0.0
     free = [each for each in map(without_contact, problem.trials) if each is not None]
     air = [_quiet(blocks, rest) for blocks, rest, _ in free]
@@ -329,7 +330,14 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     height_memory = _slower(air, found.height_noise, first.height_interval, least_height)
     held = (
         _held('force', forces, alike, least_force, coarse, memory=force_memory),
-        _held('displacement height', heights, height_alike, least_height, memory=height_memory),
+        _held(
+            'displacement height',
+            heights,
+            height_alike,
+            least_height,
+            height_coarse,
+            memory=height_memory,
+        ),
     )
     return tuple(each for each in held if each is not None)
 

@@ -79,6 +79,20 @@ def test_a_coarse_load_cell_that_reads_the_same_in_air_is_not_louder_in_contact(
     assert heard(change=rounded) == ()
 
 
+def test_a_coarse_range_sensor_that_reads_the_same_in_air_is_not_louder_in_contact(
+    heard: Any,
+) -> None:
+    """Steps of 0.4 mm, many times the noise of the heights."""
+
+    def rounded(trial: Trial) -> Trial:
+        height = trial.displacement_height
+        assert height is not None
+        value = np.round((height.value - 1e-4) / 4e-4) * 4e-4
+        return replace(trial, displacement_height=Signal(height.t, value))
+
+    assert heard(change=rounded) == ()
+
+
 def _slow(t: Any, time: float, seed: int) -> Any:
     """Return an autoregression of unit size."""
     random = np.random.default_rng(seed)
