@@ -819,10 +819,10 @@ def _load_cell(
             travel, np.round(speed, 12), parameter(vector, 'stiction', 'travel')
         )
     coulomb = parameter(vector, 'contact_friction', 'F_c')
-    if coulomb != 0.0:
-        touched = (middle > history.t_touch) & ~(middle > history.t_loss)
-        force = force + coulomb * np.sign(np.round(speed, 12)) * touched
-    force = force + parameter(vector, 'tool_mass', 'M') * motion.at(middle)[2]
+    touched = (middle > history.t_touch) & ~(middle > history.t_loss)
+    force = force + coulomb * np.sign(np.round(speed, 12)) * touched
+    mass = parameter(vector, 'tool_mass', 'M') + parameter(vector, 'gathered_mass', 'M') * touched
+    force = force + mass * motion.at(middle)[2]
     amplitude = parameter(vector, 'knock', 'amplitude')
     if amplitude != 0.0 and index == len(campaign.pushes) // 2:
         push = campaign.pushes[index]

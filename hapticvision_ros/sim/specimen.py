@@ -95,6 +95,7 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'stiction': (Quantity('F_c', 'N', 0.0), Quantity('travel', 'm', 1e-4)),
     'contact_friction': (Quantity('F_c', 'N', 0.0),),
     'tool_mass': (Quantity('M', 'kg', 0.0),),
+    'gathered_mass': (Quantity('M', 'kg', 0.0),),
     'early_shadow': (Quantity('b', 'm', 0.0), Quantity('clearance', 'm', 0.0)),
     'touch_shadow': (Quantity('b', 'm', 0.0),),
     'loose_top': (Quantity('delta_0', 'm', 0.0),),
@@ -107,6 +108,7 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``stiction``: friction that builds up over `travel` and stays at rest (Dahl);
 ``contact_friction``: friction between tool and object only;
 ``tool_mass``: inertia of the tool itself, in air as in contact;
+``gathered_mass``: inertia of what goes with the tool while it touches, without a blow;
 ``early_shadow``: the height is biased from when the tool is `clearance` above the object;
 ``touch_shadow``: the height is biased while the tool touches the object;
 ``loose_top``: the top is pushed down by `delta_0` before the object resists, and stays down;
@@ -118,6 +120,7 @@ LAW_OF: Final[Mapping[str, str]] = {
     'stiction': 'friction',
     'contact_friction': 'friction',
     'tool_mass': 'inertia',
+    'gathered_mass': 'inertia',
     'early_shadow': 'height_bias',
     'touch_shadow': 'height_bias',
     'loose_top': 'contact_offset',

@@ -139,6 +139,7 @@ _MAKERS: Final[Mapping[str, _Maker]] = {
     'stiction': lambda s, u, k: (s * k.force, 0.02 * k.depth),
     'contact_friction': lambda s, u, k: (s * k.force,),
     'tool_mass': lambda s, u, k: (s * k.force * k.interval / k.top_speed,),
+    'gathered_mass': lambda s, u, k: (s * k.force * k.interval / k.top_speed,),
     'early_shadow': lambda s, u, k: (_sign(u) * s * k.depth, (0.1 + 0.5 * u) * k.depth),
     'touch_shadow': lambda s, u, k: (_sign(u) * s * k.depth,),
     'loose_top': lambda s, u, k: (min(s * k.depth, 0.9 * k.clearance),),

@@ -233,6 +233,12 @@ class Prediction:
     late_row: int | None = None
     touched: NDArray[np.bool_] | None = None
 
+    @property
+    def in_contact(self) -> FloatArray:
+        """Return 1 for each step in which the tool touches the object, else 0; shape (n,)."""
+        assert self.touched is not None
+        return np.where(self.touched, 1.0, 0.0)
+
     def look(self, t: FloatArray, at: FloatArray) -> FloatArray:
         """
         Set the height and its derivatives to those of the surface at other times.

@@ -49,12 +49,6 @@ def _last_direction(trial: DrivenTrial) -> FloatArray:
     return np.where(last < 0, 0.0, np.sign(direction[last]))
 
 
-def _touched(prediction: Prediction) -> FloatArray:
-    """Return 1 for each step in which the object is touched, else 0; shape (n,)."""
-    assert prediction.touched is not None
-    return np.where(prediction.touched, 1.0, 0.0)
-
-
 def _add(
     direction: FloatArray, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
@@ -78,13 +72,13 @@ def _held(
 def _in_contact(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
-    _add(_direction(trial) * _touched(prediction), values, prediction, rows)
+    _add(_direction(trial) * prediction.in_contact, values, prediction, rows)
 
 
 def _held_in_contact(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
-    _add(_last_direction(trial) * _touched(prediction), values, prediction, rows)
+    _add(_last_direction(trial) * prediction.in_contact, values, prediction, rows)
 
 
 _COULOMB = Effect(

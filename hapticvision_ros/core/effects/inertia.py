@@ -27,6 +27,7 @@ from hapticvision_ros.core.effects.declaration import (
 )
 from hapticvision_ros.core.models.chain import Slot
 from hapticvision_ros.core.models.motion import acceleration
+from hapticvision_ros.core.records import FloatArray
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
@@ -36,7 +37,19 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 def _of_the_tool(
     trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
 ) -> None:
+    _add(acceleration(trial.t, trial.displacement), values, prediction, rows)
+
+
+def _added(
+    trial: DrivenTrial, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
     felt = acceleration(trial.t, trial.displacement)
+    _add(felt * prediction.in_contact, values, prediction, rows)
+
+
+def _add(
+    felt: FloatArray, values: Sequence[float], prediction: Prediction, rows: Sequence[int]
+) -> None:
     prediction.force += values[0] * felt
     if rows:
         prediction.d_force[rows[0]] += felt
@@ -89,6 +102,21 @@ EFFECT = replace(
             ),
             observe=_of_the_tool,
             kind='cell',
+        ),
+        _AT_THE_CONTACT.following(
+            'added',
+            sketch="""
+    F = F_chain + M d^2x/dt^2 in contact,  x the tool's own way;  no blow at the touch
+    """,
+            validity=(
+                'What moves with the tool comes to do so little by little after the touch, as the '
+                'contact grows, and stays behind when the tool leaves.'
+            ),
+            source=(
+                'H. Lamb, Hydrodynamics, 6th ed. 1932, art. 92 (added mass); the paper, eq. (3), '
+                "with the tool's acceleration."
+            ),
+            observe=_added,
         ),
     ),
 )

@@ -154,6 +154,7 @@ def test_other_laws_are_looked_for_where_the_usual_ones_find_nothing(noise_only:
         (Undeclared('stiction', (0.1, 1e-5)), 16, 'friction:held'),
         (Undeclared('contact_friction', (0.3,)), 12, 'friction:in_contact'),
         (Undeclared('tool_mass', (0.3,)), 13, 'inertia:of_the_tool'),
+        (Undeclared('gathered_mass', (1.5,)), 20, 'inertia:added'),
         (Undeclared('early_shadow', (2e-4, 1.5e-3)), 14, 'height_bias:near'),
         (Undeclared('touch_shadow', (-2e-4,)), 17, 'height_bias:touching'),
         (Undeclared('loose_top', (3e-4,)), 18, 'contact_offset:loose_top'),
