@@ -76,7 +76,7 @@ _OPEN = int(Slot.OPENING)
 _GROWTH = len(Slot)
 """Behind the slots of the chain: a of exponential stiffening [1/m]."""
 
-_LOOK, _FIRST, _SURE, _LAST, _REST = range(5)
+_LOOK, _FIRST, _SURE, _LAST, _REST, _CAUGHT = range(6)
 _INSTANT = 1e-2
 _SHORTEST = 1e-6
 _TOLERANCE = 1e-6
@@ -141,6 +141,9 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             share = max(d_end / (d_end - d_start), _SHORTEST)
             split = share > _SHORTEST
     stage = _LOOK
+    if held_back and opens < 0.0 and gap < -opens * h * (1.0 - _SHORTEST):
+        stage = _CAUGHT
+        share = max(gap / (-opens * h), _SHORTEST)
     force = 0.0
     mean = 0.0
     # The passes of a step, as in the forward model: as it was, and in contact where the tool
@@ -240,7 +243,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                         continue
                 else:
                     probing = True
-        if not touching and not contact and x_end < d_end:
+        if stage == _LOOK and not touching and not contact and x_end < d_end:
             touching = True
             held_back = False
             contact = True
@@ -283,7 +286,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         else:
             chain_force = fc
         if touching:
-            force = (total + thrust) * share
+            force += (total + thrust) * share
             speed = pull
         else:
             speed += swing / hs * (x_end - ahead)
@@ -294,12 +297,12 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                 held_back = torn == 1.0
         x = x_end
         contact = touching
-        if stage != _LAST:
+        if stage not in (_LAST, _CAUGHT):
             break
+        touching = stage == _CAUGHT
+        held_back, gap, opens = q[_OPEN] > 0.0 and not touching, 0.0, 0.0
         stage = _REST
         share = 1.0 - share
-        touching = False
-        held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
         contact = True
         rate = 0.0
         rate_before = 0.0

@@ -327,7 +327,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     if coarse < _COARSE * found.force_noise.std:
         force_memory = _slower(air, found.force_noise, first.interval, least_force)
     air = [each for each in map(_heights, problem.trials) if each is not None]
-    height_memory = _slower(air, found.height_noise, first.height_interval, least_height)
+    if height_coarse < _COARSE * found.height_noise.std:
+        height_memory = _slower(air, found.height_noise, first.height_interval, least_height)
     held = (
         _held('force', forces, alike, least_force, coarse, memory=force_memory),
         _held(

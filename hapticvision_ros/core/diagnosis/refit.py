@@ -535,9 +535,19 @@ class Workbench:
         """Return what leaves least of many states: that needs no derivatives."""
         if len(states) <= _CLOSE_BY:
             return states
+        left = np.array(self.leaves(problem, states, near))
+        # The last has onsets of its own, which leave much until they have been moved.
+        left[-1] = -math.inf
+        ranked = [(float(left[k]), states[k]) for k in np.argsort(left, kind='stable').tolist()]
+        chosen = [*ranked[:_CLOSE_BY], *_best_of_others(ranked, ranked[:_CLOSE_BY])]
+        taken = {id(state) for _, state in chosen}
+        return [state for state in states if id(state) in taken]
+
+    def leaves(self, problem: Problem, states: Sequence[FloatArray], near: Refit) -> list[float]:
+        """Return what each of many states leaves beside the noise of a refit: squares [-]."""
         filters = self.whiteners(near.force_noise, near.height_noise, near.jumps)
 
-        def leaves(state: FloatArray) -> float:
+        def left(state: FloatArray) -> float:
             total = 0.0
             for index, (of_force, of_height) in enumerate(filters):
                 force, height = self.residual(problem, state, index)
@@ -548,13 +558,7 @@ class Workbench:
                     total += float(white @ white)
             return total if math.isfinite(total) else math.inf
 
-        left = np.array([leaves(state) for state in states])
-        # The last has onsets of its own, which leave much until they have been moved.
-        left[-1] = -math.inf
-        ranked = [(float(left[k]), states[k]) for k in np.argsort(left, kind='stable').tolist()]
-        chosen = [*ranked[:_CLOSE_BY], *_best_of_others(ranked, ranked[:_CLOSE_BY])]
-        taken = {id(state) for _, state in chosen}
-        return [state for state in states if id(state) in taken]
+        return [left(state) for state in states]
 
     def scale(self, near: Refit) -> Scale:
         """Return what the campaign looks like beside a refit."""

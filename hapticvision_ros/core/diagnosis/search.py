@@ -348,7 +348,7 @@ def _open_ways(corners: Sequence[Corner], arm: Servo) -> FloatArray:
     """
     steps = _ARM_STEPS if arm.swing > 0.0 else _ARM_STEPS[:-1]
     count = steps.size
-    inward = np.array([0.0, *arm.inward(*(2.0 * _LITTLE * steps[1:3]).tolist()), 0.0])[:count]
+    inward = np.array([*arm.inward(*(2.0 * _LITTLE * steps[:3]).tolist()), 0.0])[:count]
 
     def at(*ways: FloatArray) -> float:
         # Beside a limit nothing is looked at beyond it.

@@ -443,7 +443,7 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
         )
     starts = [near]
     if rough or max(known.blur) > BLUNT:
-        starts += _sharper(known, found.effect)
+        starts += _sharper(bench, known, found.effect)
     best = found.refit
     for start in starts:
         again = bench.refit(known.model, start)
@@ -454,7 +454,7 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
     return _trialled(bench, without, found.effect, best)
 
 
-def _sharper(known: Refit, effect: str) -> list[Refit]:
+def _sharper(bench: Workbench, known: Refit, effect: str) -> list[Refit]:
     """
     Return starts for a refit whose moments are not known well, as if they were.
 
@@ -462,24 +462,23 @@ def _sharper(known: Refit, effect: str) -> list[Refit]:
     its way to a size, others near it are looked at, the best by what they leave.
     """
     jumps = known.problem.unsure(known.state, SHARPEST)
-    starts = [replace(known, blur=SHARPEST, jumps=jumps)]
+    sharp = replace(known, blur=SHARPEST, jumps=jumps)
+    starts = [sharp]
     rough = [p.symbol for p in BY_NAME[effect].parameters if len(p.scan) > _ROUGH]
     if rough:
         problem = Problem(known.model, known.problem.trials, known.problem.scatter)
-        problem.set_noise(known.force_noise, known.height_noise, jumps)
         state = known.state
         # What two of them do together is looked at in turn, and then more finely.
         for sizes, symbol in product((_SIZES,) if len(rough) == 1 else _IN_TURN, rough):
-            values = known.model.values(state[: known.problem.p])
+            values = known.model.values(state[: problem.p])
             place = known.model.names.index(symbol)
-            left = []
+            others = []
             for size in values[place] * sizes:
                 values[place] = size
                 other = state.copy()
                 other[: values.size] = known.model.theta(values)
-                residual, _ = problem.evaluate(other)
-                left.append((float(residual @ residual), other))
-            _, state = min(left, key=lambda each: each[0])
+                others.append(other)
+            state = others[int(np.argmin(bench.leaves(problem, others, sharp)))]
         jumps = problem.unsure(state, SHARPEST)
         starts.append(replace(known, state=state, blur=SHARPEST, jumps=jumps))
     return starts

@@ -34,7 +34,7 @@ the tool withdraws is let go several times, and the force that does so is known 
 """
 
 
-_PULLED: Final = (0.4, 0.6, 0.75, 0.85, 0.92, 0.96, 1.0, 1.04)
+_PULLED: Final = (0.5, 0.75, 0.9, 0.96, 1.0, 1.04, 1.1, 1.3)
 """Those of a zone that goes on to pull, whose force shows for a while."""
 _OPENINGS: Final = (0.4, 0.6, 0.8, 0.9, 0.96, 1.0, 1.04, 1.1, 1.25, 1.6, 2.5)
 """Openings of it that are tried, over the one that is seen."""
@@ -98,7 +98,11 @@ EFFECT = replace(
             ),
             shape=_zone,
             parameters=(
-                replace(_AT_ONCE.parameters[0], scan=_PULLED),
+                replace(
+                    _AT_ONCE.parameters[0],
+                    guess=lambda scale: scale.held_back or max(scale.pull, 0.02 * scale.force),
+                    scan=_PULLED,
+                ),
                 EffectParameter(
                     'delta_c',
                     'm',

@@ -102,7 +102,9 @@ class Scale:
     pull : float
         Largest force that holds the tool back on withdrawal, noise included [N].
     opening : float
-        How far tool and surface are apart where that force ends; zero where it is not seen [m].
+        How far tool and surface are apart where such a force ends; zero where it is not seen [m].
+    held_back : float
+        Mean force that holds the tool back until then [N].
 
     """
 
@@ -119,6 +121,7 @@ class Scale:
     disturbance_frequency: float = 50.0
     pull: float = 0.0
     opening: float = 0.0
+    held_back: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -227,7 +227,7 @@ class Bend:
     def halves(self) -> tuple['Bend', ...]:
         """Return the stop and the start that it is; itself where it is not both."""
         part, apart = self.shape.part, self.shape.apart
-        if part <= 0.0:
+        if part <= 0.0 or apart <= 0.0:
             return (self,)
         shape = self.shape._replace(part=0.0, wait=0.0)
         stop = replace(self, t=self.t - (1.0 - part) * apart, turn=part * self.turn, shape=shape)
@@ -611,8 +611,9 @@ class Servo:
         Parameters
         ----------
         duration : float
-            Logarithm of the ratio of how long the acceleration lasts. It takes as much longer as
-            a wait gets shorter.
+            Logarithm of the ratio of how long the acceleration lasts. Of an arm that waits it is
+            that of what is brisk beside the wait, if that is more, and the wait gets shorter by
+            what is added.
         lag, jerk : float
             What is added to lag and jerk, over how long a change of speed lasts; none of both
             gets below zero.
@@ -622,23 +623,32 @@ class Servo:
         """
         scale = self.lasts
         soft = min(max(self.jerk + jerk * (scale if self.even else 1.0), 0.0), self._softest)
-        lasts = self.duration * math.exp(duration)
-        longer = 0.0 if self.even else lasts - self.duration
+        lasts, wait = self.duration * math.exp(duration), self.wait
+        if self._may_wait:
+            # An arm that stops at once may as well do so over a while.
+            more = math.expm1(duration) * max(self.duration, BRISK * wait)
+            more = min(max(more, -self.duration), wait)
+            lasts, wait = self.duration + more, wait - more
         return replace(
             self,
             duration=lasts,
-            wait=max(self.wait - longer, 0.0),
+            wait=wait,
             jerk=soft,
             lag=max(self.lag + lag * scale, 0.0),
             swing=self.swing * math.exp(swing),
         )
 
-    def inward(self, lag: float, jerk: float) -> tuple[float, float]:
-        """Return which way lag and jerk go from a limit that is nearer than a change: 1 or -1."""
+    @property
+    def _may_wait(self) -> bool:
+        return self.wait > 0.0 and not self.even
+
+    def inward(self, duration: float, lag: float, jerk: float) -> tuple[float, float, float]:
+        """Return which way each goes from a limit that is nearer than a change: 1 or -1, or 0."""
         scale = self.lasts
+        short = self._may_wait and self.duration < duration * BRISK * self.wait
         jerk *= scale if self.even else 1.0
         soft = 1.0 if self.jerk < jerk else -1.0 if self.jerk > self._softest - jerk else 0.0
-        return 1.0 if self.lag < lag * scale else 0.0, soft
+        return 1.0 if short else 0.0, 1.0 if self.lag < lag * scale else 0.0, soft
 
     @property
     def _softest(self) -> float:
@@ -937,7 +947,6 @@ def _alike(
             # Two of unequal speeds take unequal times where the acceleration is the same.
             kinds.append(('even', np.where(turning & ~whole, 0.5, 1.0) * turns, True))
         kinds.append(('alike', np.where(whole, 2.0, 1.0), True))
-    found += _waiting(each, shapes, clean=clean, longest=longest, worth=worth)
     for name, sizes, parted in kinds:
         usual = float(np.median(lasts / sizes))
         scale = usual * float(np.median(sizes))
@@ -961,6 +970,12 @@ def _alike(
             _, best = minimum(sought, start, _SEARCHED[: start.size])
             left = cost(best)
             found.append((left + start.size * worth, left, best, kind))
+    for waits in _waiting(each, shapes, clean=clean, longest=longest, worth=worth):
+        # No arm stops at once: where encoders do not tell it from a turn that takes a while and
+        # no more numbers, it is that.
+        rivals = [left for _, left, best, _ in found if best.size <= waits[2].size]
+        if waits[1] < min(rivals, default=math.inf) - SHOWN:
+            found.append(waits)
     if not found:
         return alone, None
     worst, left, best, kind = min(found, key=lambda one: one[0])

@@ -147,6 +147,8 @@ _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
+_LEVELS: Final = 3
+"""Looks for a pull, each at half of what the one before has told."""
 _LAST_HELD: Final = 6
 """Heights before a pull ends that tell where the surface is then."""
 _TURNS: Final = 5
@@ -1689,7 +1691,7 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         early = float(np.interp(0.9 * reach, *_rising(trial, deepest)))
         speeds.append(0.9 * reach / max(early - trial.t_contact, trial.interval))
     line = line_spectrum(problem, state)
-    pull = _pull(problem, state)
+    opening, held_back = _opening(problem, state)
     return Scale(
         K1=float(K1),
         C1=float(C1),
@@ -1702,8 +1704,9 @@ def scale_of(problem: Problem, state: FloatArray, K1: float, C1: float, C2: floa
         campaign_time=max(trial.campaign_time for trial in trials),
         disturbance_amplitude=line.amplitude,
         disturbance_frequency=line.frequency,
-        pull=pull,
-        opening=_opening(problem, state, pull),
+        pull=_pull(problem, state),
+        opening=opening,
+        held_back=held_back,
     )
 
 
@@ -1720,18 +1723,18 @@ def _pull(problem: Problem, state: FloatArray) -> float:
     return max(float(np.median(pulls)), 0.0) if pulls else 0.0
 
 
-def _opening(problem: Problem, state: FloatArray, pull: float) -> float:
-    """Return how far tool and surface are apart where a force that holds the tool back ends."""
-    openings = []
+def _opening(problem: Problem, state: FloatArray) -> tuple[float, float]:
+    """Return how far tool and surface are apart where a pull ends [m], and its mean [N]."""
+    openings, pulls = [], []
     for index, trial in enumerate(problem.trials):
         if trial.t_release is None:
             continue
         own, zero, height_zero = problem.own(state, index)
-        held = (trial.t[1:] > trial.t_release) & (trial.force_count > 0.0)
-        held &= trial.force - zero < -0.5 * pull
-        if not held.any():
+        first = int(np.searchsorted(trial.t, trial.t_release))
+        pull, last = _drawn(zero - trial.force[first:], trial.force_count[first:])
+        if last == 0:
             continue
-        end = float(trial.t[1:][held][-1])
+        end = float(trial.t[first + last])
         near = slice(*np.searchsorted(trial.height_t, (trial.t_release, end)))
         # The surface comes up as it goes on, and falls back when it is let go.
         t, height = (each[near][-_LAST_HELD:] for each in (trial.height_t, trial.height))
@@ -1740,7 +1743,31 @@ def _opening(problem: Problem, state: FloatArray, pull: float) -> float:
         surface = float(np.polyfit(t - end, height, 1)[1])
         tool = float(np.interp(end, trial.t, trial.displacement)) + float(own[0])
         openings.append(surface - height_zero - tool)
-    return max(float(np.median(openings)), 0.0) if openings else 0.0
+        pulls.append(pull)
+    if not openings:
+        return 0.0, 0.0
+    return max(float(np.median(openings)), 0.0), float(np.median(pulls))
+
+
+def _drawn(pull: FloatArray, count: FloatArray) -> tuple[float, int]:
+    """
+    Return the mean of a pull that goes on for a while, and how many steps are up to its end.
+
+    A single reading of noise is not taken for it: of all runs of steps it is the one that is above
+    a level by most in all, and the level half of what the run before has told.
+    """
+    level, mean, last = 0.25 * float(pull.max(initial=0.0)), 0.0, 0
+    for _ in range(_LEVELS):
+        above = np.concatenate(([0.0], np.cumsum(count * (pull - level))))
+        rise = above - np.minimum.accumulate(above)
+        last = int(np.argmax(rise))
+        start = int(np.flatnonzero(above[: last + 1] == above[: last + 1].min())[-1])
+        seen = float(count[start:last].sum())
+        if seen <= 0.0:
+            return 0.0, 0
+        mean = float(count[start:last] @ pull[start:last]) / seen
+        level = 0.5 * mean
+    return mean, last
 
 
 def _rising(trial: FitTrial, deepest: float) -> tuple[FloatArray, FloatArray]:

@@ -242,8 +242,11 @@ _SMALLEST = 1e-16
 _MOST_ITERATIONS = 60
 _SHORTENED = 8
 """How often the part of a step before the loss is shortened where it pulls."""
-_LOOK, _FIRST, _SURE, _LAST, _REST = range(5)
-"""A step, as it is looked at; its first instant; decided; in contact up to the loss; after it."""
+_LOOK, _FIRST, _SURE, _LAST, _REST, _CAUGHT = range(6)
+"""
+A step, as it is looked at; its first instant; decided; in contact up to the loss; what is after a
+part; held back until the tool is there again.
+"""
 _INSTANT = 1e-2
 """Share of a step that is its first instant."""
 _NEAR = 5e-3
@@ -994,6 +997,12 @@ def _respond(  # type: ignore[no-untyped-def]
         if contact:
             last = force[i - 1]
         stage = _LOOK
+        if held_back and opens < 0.0 and gap_open < -opens * h * (1.0 - _SHORTEST):
+            # The tool and what it is held by meet within the step.
+            stage = _CAUGHT
+            share = max(gap_open / (-opens * h), _SHORTEST)
+            for j in range(directions):
+                d_part[j] = -(d_gap_open[j] + share * h * d_opens[j]) / opens
         at_once = 0.0
         shortened = 0
         force[i] = 0.0
@@ -1075,7 +1084,6 @@ def _respond(  # type: ignore[no-untyped-def]
                 slope = e
                 flow = fc * c2_inverse
                 fluid = c2_inverse
-                excess = 1.0
                 x_slope = 1.0 + (hs * fluid + ce) * slope
                 x_end = rest + hs * flow + ce * fc
                 x_mid = 0.5 * (x + x_end)
@@ -1091,6 +1099,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 u = -g / g_slope
                 fc += slope * u
                 flow = fc * c2_inverse
+                excess = abs(fc)
                 x_end += x_slope * u
                 x_mid = 0.5 * (x + x_end)
                 total += total_slope * u
@@ -1160,7 +1169,8 @@ def _respond(  # type: ignore[no-untyped-def]
                             continue
                     else:
                         probing = True
-            if not touching and not contact and x_end < d_end:
+            tip = d_end + cm * f_ad if held_back else d_end
+            if stage == _LOOK and not touching and not contact and x_end < tip:
                 touching = True
                 contact = True
                 held_back = False
@@ -1186,7 +1196,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     dhs = 0.0
                     if split:
                         dhs = h * (dq[j, _OFF] - dx[j]) / (d[i + 1] - d[i])
-                    elif stage == _LAST:
+                    elif stage in (_LAST, _CAUGHT):
                         dhs = d_part[j]
                     elif stage == _REST:
                         dhs = -d_part[j]
@@ -1320,12 +1330,13 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_machine_force[j] += end * (d_total - d_machine_force[j])
                         d_machine_force[j] += d_end_weight * (total - machine_force)
                         d_machine_force[j] += d_machine_lead
-                        d_force[j, i] = d_total * share + total * dhs / h
+                        d_force[j, i] += d_total * share + total * dhs / h
                         d_force[j, i] += (dq[j, _MASS] * (pull - speed) - mass * d_speed[j]) / h
                         d_speed[j] = 0.0
                     else:
                         d_machine_force[j] = 0.0
                         if held_back:
+                            d_machine_force[j] = -dq[j, _FAD]
                             d_force[j, i] -= d_tear[j] * (hs / h) + tear * dhs / h
                             d_gap = dx[j] - dq[j, _OFF] - cm * dq[j, _FAD] - dq[j, _CM] * f_ad
                             wider = (x_end - d_end - cm * f_ad - gap_open) * per_hs
@@ -1390,7 +1401,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 chain_force = fc
             if touching:
                 machine_force += end * (total - machine_force) + machine_lead
-                force[i] = (total + thrust) * share
+                force[i] += (total + thrust) * share
                 speed = pull
             else:
                 machine_force = 0.0
@@ -1402,17 +1413,18 @@ def _respond(  # type: ignore[no-untyped-def]
                     opens = (gap - gap_open) / hs
                     gap_open = gap
                     held_back = torn == 1.0
+                    machine_force = -f_ad if held_back else 0.0
             x = x_end
             surface[i + 1] = x_end
             contact = touching
             bare_h = -1.0
             brisk_h = -1.0
-            if stage != _LAST:
+            if stage not in (_LAST, _CAUGHT):
                 break
+            touching = stage == _CAUGHT
+            held_back = cohesive and not touching
             stage = _REST
             share = 1.0 - share
-            touching = False
-            held_back = cohesive
             gap_open = 0.0
             opens = 0.0
             d_gap_open[:] = 0.0

@@ -210,11 +210,26 @@ def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> 
     values[place] = best / 1.5
     state = right.state.copy()
     state[: values.size] = right.model.theta(values)
-    sharp, near = _sharper(replace(right, state=state, blur=Blur(0.1, 2.0)), 'adhesion')
+    known = replace(right, state=state, blur=Blur(0.1, 2.0))
+    sharp, near = _sharper(bench, known, 'adhesion')
     assert sharp.blur == near.blur == SHARPEST
     assert np.array_equal(sharp.state, state)
     # The sizes that are looked at are 4 % apart.
     assert near.model.values(near.theta)[place] == pytest.approx(best, rel=0.05)
+
+
+def test_necks_whose_pull_is_hardly_louder_than_the_noise_are_seen(world: Any) -> None:
+    """Twice the noise for 0.4 s: no reading by itself tells where the pull ends."""
+    pushes = [replace(push, release_speed=1e-3) for push in world.campaign().pushes]
+    campaign = replace(world.campaign(), pushes=tuple(pushes))
+    bench, base = world.measure(campaign, Undeclared('necking', (0.1, 4e-4)), seed=19).bench()
+    scale = bench.scale(base)
+    assert scale.opening == pytest.approx(4e-4, rel=0.1)
+    assert scale.held_back == pytest.approx(0.1, rel=0.1)
+    (found,) = try_all(bench, base, ['adhesion:cohesive_zone'])
+    assert found.refit is not None
+    values = found.refit.model.values(found.refit.theta)
+    assert values[3:] == pytest.approx([0.1, 4e-4], rel=0.05)
 
 
 def test_what_the_arm_does_unseen_is_a_part_of_the_deviance(world: Any) -> None:

@@ -369,9 +369,15 @@ def _follows(trials: list[tuple[Trial, Segmentation]], shape: Shape, most: float
 
 def test_limits_of_an_arm_are_told() -> None:
     arm = Servo(0.1, 0.5, 0.02, even=False, lasts=0.1)
-    assert arm.inward(0.1, 0.1) == (0.0, 0.0)
-    assert replace(arm, lag=0.0, jerk=0.0).inward(0.1, 0.1) == (1.0, 1.0)
-    assert replace(arm, jerk=1.0).inward(0.1, 0.1) == (0.0, -1.0)
+    assert arm.inward(0.1, 0.1, 0.1) == (0.0, 0.0, 0.0)
+    assert replace(arm, lag=0.0, jerk=0.0).inward(0.1, 0.1, 0.1) == (0.0, 1.0, 1.0)
+    assert replace(arm, jerk=1.0).inward(0.1, 0.1, 0.1) == (0.0, 0.0, -1.0)
+    waiting = replace(arm, duration=0.0, parted=True, wait=0.1)
+    assert waiting.inward(0.1, 0.1, 0.1)[0] == 1.0
+    slower = waiting.changed(1.0, 0.0, 0.0)
+    assert 0.0 < slower.duration < slower.wait
+    assert slower.duration + slower.wait == pytest.approx(0.1)
+    assert replace(waiting, duration=0.05, wait=0.0).changed(-0.1, 0.0, 0.0).wait == 0.0
 
 
 def test_a_corner_of_one_sample_tells_nothing() -> None:

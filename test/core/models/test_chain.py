@@ -28,6 +28,8 @@ from hapticvision_ros.core.effects.springpot import REFERENCE_TIME
 from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
 from hapticvision_ros.core.models.three_element import respond as respond_exactly
 from hapticvision_ros.core.models.three_element import ThreeElement
+from hapticvision_ros.sim import specimen
+from hapticvision_ros.sim.specimen import integrate, Motion, parameter_vector, Undeclared
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -240,6 +242,58 @@ def test_force_and_surface_are_those_of_the_equations(name: str) -> None:
     assert np.abs(found.surface - surface)[away].max() < bound * DEPTH
     if math.isfinite(t_loss):
         assert not found.force[t[:-1] > t_loss + 0.02].any()
+
+
+@pytest.mark.parametrize(
+    ('body', 'bound'),
+    [
+        (Body(F_ad=1.0, delta_c=3e-3), 2e-4),
+        (Body(F_ad=3.0, delta_c=3e-3, K_m=2e4), 2e-4),
+        (Body(F_ad=3.0, delta_c=3e-3, K_m=2e4, K_0=3e4), 2e-4),
+    ],
+)
+def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(
+    body: Body, bound: float
+) -> None:
+    """Against the simulated world, whose events are found by bisection."""
+    knot_t = np.array([0.0, 5.0, 6.0, 9.0, 9.5, 12.0, 16.0])
+    knot_d = np.array([0.0, 8.0, 8.0, 3.5, 3.5, 8.0, 8.0]) * 1e-3
+    motion = Motion(knot_t[:-1], knot_d[:-1], np.diff(knot_d) / np.diff(knot_t), np.zeros(6))
+    effects = [Undeclared('necking', (body.F_ad, body.delta_c))]
+    if math.isfinite(body.K_m):
+        effects.append(Undeclared('machine_compliance', (body.K_m,)))
+    if math.isfinite(body.K_0):
+        effects.append(Undeclared('series_spring', (body.K_0,)))
+    t = np.linspace(0.0, 16.0, 16001)
+    vector = parameter_vector(specimen.Body(K1, C1, C2), effects)
+    world = integrate(t, motion, vector, reference_depth=DEPTH)
+    impulse = np.concatenate(([0.0], np.cumsum(world.force * np.diff(world.t))))
+    force = np.diff(np.interp(t, world.t, impulse)) / np.diff(t)
+    assert np.count_nonzero(force < -0.999 * body.F_ad) > 1000
+    displacement = np.interp(t, knot_t, knot_d)
+    slots = (Slot.K1, Slot.C2, Slot.ADHESION)
+    directions = tuple(Chain(np.eye(len(Slot))[slot], NONE, NONE) for slot in slots)
+    found = respond(t, displacement, body.chain(), directions)
+    assert np.abs(found.force - force).max() < bound
+    for slot, tangent in zip(slots, found.force_tangent, strict=True):
+        step = 1e-6 * body.chain().slots[slot]
+        sides = []
+        for sign in (-1.0, 1.0):
+            chain = body.chain()
+            chain.slots[slot] += sign * step
+            sides.append(respond(t, displacement, chain).force)
+        slope = (sides[1] - sides[0]) / (2.0 * step)
+        assert tangent == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
+
+
+def test_a_thinning_that_is_none_yet_has_its_derivative() -> None:
+    t = np.linspace(0.0, 14.0, 1401)
+    d = np.interp(t, KNOT_T, KNOT_D)
+    direction = Chain(np.eye(len(Slot))[Slot.FLOW_INDEX], NONE, NONE)
+    found = respond(t, d, Body().chain(), (direction,)).force_tangent[0]
+    sides = [respond(t, d, Body(n=1.0 + step).chain()).force for step in (-1e-5, 1e-5)]
+    slope = (sides[1] - sides[0]) / 2e-5
+    assert found == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize('name', ['series spring', 'second unit', 'thinning', 'machine'])
