@@ -229,7 +229,7 @@ def test_necks_hold_the_tool_back_until_they_are_drawn_out() -> None:
     assert not got.force[t > t[drawn].max() + STEP].any()
     # Where they are drawn out the surface is as far behind the tool.
     end = int(np.flatnonzero(drawn)[-1]) + 1
-    away = got.surface[end] - motion(release=speed).at(got.t[end : end + 1])[0][0]
+    away = got.surface[end] - motion(release=speed).at(got.t[[end]])[0][0]
     assert away == pytest.approx(length, abs=speed * STEP)
 
 

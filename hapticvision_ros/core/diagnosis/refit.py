@@ -506,7 +506,7 @@ class Workbench:
         slow = slow_body(self.trials, body)
         if slow is not None:
             bodies.append(slow)
-        if len(scans) > _CLOSE_BY:
+        if len(new) > 1 and len(scans) > _CLOSE_BY:
             # What shows when the tool leaves has bent what is told from all of a trial.
             held = identify(self.trials, near.force_noise.white)
             bodies.append({'K1': held.K1, 'C1': held.C1, 'C2': held.C2})

@@ -34,9 +34,9 @@ the tool withdraws is let go several times, and the force that does so is known 
 """
 
 
-_PULLED: Final = (0.5, 0.75, 0.9, 0.96, 1.0, 1.04, 1.1, 1.3)
+_PULLED: Final = (0.6, 0.85, 0.95, 1.0, 1.05, 1.2)
 """Those of a zone that goes on to pull, whose force shows for a while."""
-_OPENINGS: Final = (0.4, 0.6, 0.8, 0.9, 0.96, 1.0, 1.04, 1.1, 1.25, 1.6, 2.5)
+_OPENINGS: Final = (0.5, 0.8, 0.93, 1.0, 1.07, 1.25, 2.0)
 """Openings of it that are tried, over the one that is seen."""
 
 

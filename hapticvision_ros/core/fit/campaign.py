@@ -1738,7 +1738,7 @@ def _opening(problem: Problem, state: FloatArray) -> tuple[float, float]:
         near = slice(*np.searchsorted(trial.height_t, (trial.t_release, end)))
         # The surface comes up as it goes on, and falls back when it is let go.
         t, height = (each[near][-_LAST_HELD:] for each in (trial.height_t, trial.height))
-        if t.size < 2:
+        if t.size < 2 or t[-1] <= t[0]:
             continue
         surface = float(np.polyfit(t - end, height, 1)[1])
         tool = float(np.interp(end, trial.t, trial.displacement)) + float(own[0])

@@ -1687,7 +1687,8 @@ def _bent(
         )
         found = next(filter(None, tried), None)
         gaps = np.diff(knots[group])
-        if found is None and _are_apart(gaps, step):
+        waits = found is not None and found.shape.wait > 0.0 and not found.bend.common
+        if (found is None or waits) and _are_apart(gaps, step):
             # A stop and the start of the release after a short hold are two changes of speed.
             cut = int(np.argmax(gaps)) + 1
             pending += [group[cut:], group[:cut]]
