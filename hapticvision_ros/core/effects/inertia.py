@@ -110,12 +110,12 @@ EFFECT = replace(
     F = F_chain + M d^2x/dt^2 in contact,  x the tool's own way;  no blow at the touch
         """,
                 validity=(
-                    'What moves with the tool comes to do so little by little after the touch, as the '
-                    'contact grows, and stays behind when the tool leaves.'
+                    'What moves with the tool comes to do so little by little after the touch, as '
+                    'the contact grows, and stays behind when the tool leaves.'
                 ),
                 source=(
-                    'H. Lamb, Hydrodynamics, 6th ed. 1932, art. 92 (added mass); the paper, eq. (3), '
-                    "with the tool's acceleration."
+                    'H. Lamb, Hydrodynamics, 6th ed. 1932, art. 92 (added mass); the paper, eq. '
+                    "(3), with the tool's acceleration."
                 ),
                 observe=_added,
             ),
