@@ -108,7 +108,7 @@ EFFECT = replace(
                 'added',
                 sketch="""
     F = F_chain + M d^2x/dt^2 in contact,  x the tool's own way;  no blow at the touch
-        """,
+                """,
                 validity=(
                     'What moves with the tool comes to do so little by little after the touch, as '
                     'the contact grows, and stays behind when the tool leaves.'

@@ -480,7 +480,7 @@ def test_a_turn_may_be_a_stop_and_a_start() -> None:
 
 
 def test_a_turn_may_be_a_stop_a_wait_and_a_start() -> None:
-    """Encoders with 1 um of noise see a wait of 0.1 s much as an acceleration of 0.17 s."""
+    """Encoders with 1 um of noise see a wait of 0.1 s much as a slow turn."""
     pushes = tuple(Push(2.5e-4, depth, 0.1, 2.0, 2.5e-4) for depth in (7.5e-4, 1.5e-3) * 2)
     sensors = Sensors(ForceNoise(0.3), 7e-6, force_rate=500.0, tool_rate=200.0, height_rate=20.0)
     trials = [
