@@ -17,19 +17,30 @@ Kernels: functions compiled once for a machine, that let other threads run.
 
 numba keeps what it has compiled beside the source, or in the user's cache where that folder cannot
 be written to. Where neither can, as in a container without a home, it refuses the function; here
-it is then compiled anew by each process, which is slow to start but works.
+it is then compiled anew by each process, which is slow to start but works. Of several processes
+that need the same kernel one compiles it, and the others wait for that.
 """
 
 from collections.abc import Callable
 import contextlib
+import fcntl
 from importlib import import_module
+import os
+from pathlib import Path
 import sys
-from typing import Any
+import time
+from types import ModuleType
+from typing import Any, Final
 
 from numba import njit
-from numba.core import environment
+from numba.core import environment, event
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
+
+_LONGEST_WAIT: Final = 600.0
+"""Who takes longer to compile a kernel than this hangs [s]."""
+_LOOK_AGAIN: Final = 0.05
+"""Period at which it is looked whether another process has compiled a kernel [s]."""
 
 
 def _environment(module: str, constants: Any, name: str) -> Any:
@@ -65,14 +76,55 @@ class _Cache(FunctionCache):
 
     numba loads its whole library first, 0.3 s and more of each process, of which machine code that
     is there already needs only the memory management. What is not there is compiled as ever, and
-    the compiler loads the library itself.
+    the compiler loads the library itself; meanwhile a lock holds up other processes that need it.
     """
+
+    _lock: int | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for some types; None where it is to be compiled."""
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            found = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if found is None:
+                self._take_lock()
+                # Another process may have kept it since.
+                found = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+                if found is not None:
+                    self._give_lock_back()
+            return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled kernel, for the processes that wait for it as well."""
+        try:
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        finally:
+            self._give_lock_back()
+
+    def _take_lock(self) -> None:
+        """Wait until no other process compiles the kernel; go on where no lock can be had."""
+        # That of a compilation that failed.
+        self._give_lock_back()
+        path = Path(self.cache_path) / f'{self._impl.filename_base}.lock'
+        with contextlib.suppress(OSError):
+            self._impl.locator.ensure_cache_path()
+            lock = self._lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            # Those who count the time of compilations count this as well.
+            with event.trigger_event('numba:compile'):
+                deadline = time.monotonic() + _LONGEST_WAIT
+                while time.monotonic() < deadline:
+                    time.sleep(_LOOK_AGAIN)
+                    with contextlib.suppress(BlockingIOError):
+                        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                        return
+
+    def _give_lock_back(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -98,3 +150,26 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return compiled
 
     return compile_
+
+
+def kept(module: ModuleType) -> bool:
+    """
+    Return whether kernels of a module were compiled since its last change, on this machine.
+
+    Parameters
+    ----------
+    module : ModuleType
+        One that has kernels of its own.
+
+    Returns
+    -------
+    bool
+        Whether any of them is kept.
+
+    """
+    caches = [getattr(member, '_cache', None) for member in vars(module).values()]
+    return any(
+        cache._cache_file._load_index()  # type: ignore[no-untyped-call]
+        for cache in caches
+        if isinstance(cache, _Cache) and cache._py_func.__module__ == module.__name__
+    )

@@ -50,6 +50,7 @@ from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.nodes.clock import CLOCK, EXACT_REPLAY, MessageClock, Nanoseconds
 from hapticvision_ros.nodes.conversions import scalar_to_message, status_to_message
 from hapticvision_ros.nodes.diagnostics import Diagnostics, Finding, Heard, Level, worst
+from hapticvision_ros.nodes.fit_kernels import compile_apart, missing
 from hapticvision_ros.nodes.intake import Intake
 from hapticvision_ros.nodes.parameters import ParameterSpec
 from hapticvision_ros.nodes.qos import create_publisher, create_service
@@ -275,6 +276,7 @@ class RheologyFitter(CellNode):
         self._trials = 0
         self._fitted = 0
         self._aborted = False
+        self._compiling = False
         self._last: Finding | None = None
         self._needed = {
             WRENCH: Heard(f'The force on {WRENCH.name}', 'force'),
@@ -417,6 +419,11 @@ class RheologyFitter(CellNode):
 
     def _work(self) -> None:
         """Fit one trial after the other."""
+        if missing():
+            self._compiling = True
+            self.get_logger().info('compiling the fit, as once after an installation')
+            compile_apart(self.stopping)
+            self._compiling = False
         while not self.stopping.is_set():
             try:
                 job = self._jobs.get(timeout=0.1)
@@ -460,6 +467,9 @@ class RheologyFitter(CellNode):
         """Return what the last trial has told, or why nothing."""
         values: dict[str, object] = {'trials': self._trials, 'fitted': self._fitted}
         last = self._last
+        if self._fitted < self._trials and self._compiling:
+            said = f'Trial {self._fitted + 1} waits for the fit to be compiled, once.'
+            return Finding(Level.OK, said, values)
         if self._fitted < self._trials:
             return Finding(Level.OK, f'Trial {self._fitted + 1} is being fitted.', values)
         if last is None:

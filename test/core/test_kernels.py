@@ -14,12 +14,15 @@
 
 """Kernels work wherever the package is installed."""
 
+import contextlib
+import fcntl
 from pathlib import Path
 import subprocess
 import sys
 
 from hapticvision_ros.core.kernels import kernel
 from numba.core import caching
+from numba.core.errors import TypingError
 import pytest
 
 
@@ -66,6 +69,65 @@ def test_a_kernel_that_is_kept_comes_without_the_compiler(tmp_path: Path) -> Non
     ]
     # What is compiled after a kernel was read finds all that the compiler needs.
     assert said == [['True', 'True', 'TypingError'], ['False', 'False', 'TypingError']]
+
+
+def test_of_processes_that_need_a_kernel_one_compiles_it(tmp_path: Path) -> None:
+    (tmp_path / 'summed.py').write_text(
+        'import sys\n'
+        'from hapticvision_ros.core.kernels import kernel\n'
+        'import numpy as np\n'
+        '@kernel()\n'
+        'def summed(x):\n'
+        '    twice = np.zeros(2)\n'
+        '    twice[:] = x\n'
+        '    return twice.sum()\n'
+        'print("ready", flush=True)\n'
+        'sys.stdin.readline()\n'
+        'assert summed(1.5) == 3.0\n'
+        'print(sum(summed.stats.cache_misses.values()))\n'
+    )
+    command = [sys.executable, '-c', 'import summed']
+    with contextlib.ExitStack() as stack:
+        processes = [
+            stack.enter_context(
+                subprocess.Popen(
+                    command,
+                    cwd=tmp_path,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            for _ in range(3)
+        ]
+        for process in processes:
+            assert process.stdout is not None
+            assert process.stdout.readline() == 'ready\n'
+        for process in processes:
+            assert process.stdin is not None
+            process.stdin.write('go\n')
+            process.stdin.flush()
+        said = [process.communicate(timeout=300.0)[0].strip() for process in processes]
+    assert sorted(said) == ['0', '0', '1']
+
+
+def test_a_kernel_that_cannot_be_compiled_does_not_hold_up_others() -> None:
+    compiled = kernel()(_double)
+    compiled._cache.flush()
+    with pytest.raises(TypingError):
+        compiled('text')
+    assert compiled(1.5) == 3.0
+    assert kernel()(_double)(3) == 6.0
+
+
+def test_a_kernel_works_where_no_lock_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: object) -> None:
+        raise OSError('no locks available')
+
+    monkeypatch.setattr(fcntl, 'flock', refuse)
+    compiled = kernel()(_double)
+    compiled._cache.flush()
+    assert compiled(1.5) == 3.0
 
 
 def test_what_another_package_keeps_does_not_ask_for_this_one(tmp_path: Path) -> None:

@@ -14,7 +14,10 @@
 
 """What the rheology fitter says of itself while a trial comes, is fitted, or cannot be."""
 
+import os
 from pathlib import Path
+import subprocess
+import sys
 
 from geometry_msgs.msg import WrenchStamped
 from hapticvision_ros.bag.contract import (
@@ -26,6 +29,7 @@ from hapticvision_ros.bag.contract import (
     WRENCH,
 )
 from hapticvision_ros.bag.reader import read_trial
+from hapticvision_ros.nodes import fit_kernels, rheology_fitter
 from hapticvision_ros.nodes.conversions import (
     scalar_to_message,
     stamp_from_ns,
@@ -108,6 +112,81 @@ def test_a_trial_that_waits_for_its_fit_is_told(fitter):
     fitter._trials = 3
     fitter._fitted = 2
     assert fitter._find_result().message == 'Trial 3 is being fitted.'
+
+
+def test_kernels_that_are_missing_are_compiled_apart_and_the_trial_waits(
+    ros, until, monkeypatch, tmp_path
+):
+    # A compiler that ends when it is allowed to.
+    allowed, began = tmp_path / 'allowed', tmp_path / 'began'
+    code = (
+        'import os, pathlib, time\n'
+        f'pathlib.Path({str(began)!r}).write_text(str(os.getpid()))\n'
+        f'while not pathlib.Path({str(allowed)!r}).exists():\n'
+        '    time.sleep(0.01)\n'
+    )
+    monkeypatch.setattr(fit_kernels, '_COMMAND', (sys.executable, '-c', code))
+    monkeypatch.setattr(rheology_fitter, 'missing', lambda: True)
+    node = RheologyFitter()
+    try:
+        until(began.exists, 'the compiler')
+        node._on_phase('approach', 0)
+        feed(node)
+        node._end(None)
+        node._hand_over()
+        assert node._find_result().message == 'Trial 1 waits for the fit to be compiled, once.'
+        allowed.touch()
+
+        def told():
+            node._on_tick()
+            return node._find_result().values['fitted']
+
+        until(told, 'the result of the trial')
+        assert node._find_result().message.startswith('trial 1: K1 = ')
+    finally:
+        node.close()
+        node.destroy_node()
+
+
+def test_a_fitter_that_stops_ends_its_compiler(ros, until, monkeypatch, tmp_path):
+    began = tmp_path / 'began'
+    code = (
+        'import os, pathlib, time\n'
+        f'pathlib.Path({str(began)!r}).write_text(str(os.getpid()))\n'
+        'time.sleep(600)\n'
+    )
+    monkeypatch.setattr(fit_kernels, '_COMMAND', (sys.executable, '-c', code))
+    monkeypatch.setattr(rheology_fitter, 'missing', lambda: True)
+    node = RheologyFitter()
+    until(lambda: began.exists() and began.read_text(), 'the compiler')
+    node.close()
+    node.destroy_node()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(began.read_text()), 0)
+
+
+def test_what_is_compiled_apart_is_what_a_fit_calls():
+    code = (
+        'import gc, sys, threading\n'
+        'from pathlib import Path\n'
+        'from numba.core.dispatcher import Dispatcher\n'
+        'from hapticvision_ros.bag.reader import read_trial\n'
+        'from hapticvision_ros.core.pipeline import analyse\n'
+        'from hapticvision_ros.nodes import fit_kernels\n'
+        'from hapticvision_ros.nodes.rheology_fitter import whole_values\n'
+        'def called():\n'
+        '    kernels = (k for k in gc.get_objects() if isinstance(k, Dispatcher))\n'
+        '    return {(str(k.py_func), s) for k in kernels for s in k.signatures}\n'
+        'fit_kernels.main()\n'
+        'assert not fit_kernels.missing()\n'
+        'before = called()\n'
+        'whole_values(analyse(read_trial(Path(sys.argv[1]))))\n'
+        'print(len(before), *(called() - before), sep="\\n")\n'
+    )
+    command = [sys.executable, '-c', code, BAG]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split('\n')
+    assert int(said[0]) > 10
+    assert said[1:] == ['']
 
 
 def test_a_trial_without_a_usable_signal_is_told_with_the_reason(fitter, until):

@@ -144,9 +144,6 @@ def nodes(domain: int) -> Iterator[Listener]:
     """Run the phase segmenter and the rheology fitter, as real processes, for all bags."""
     environment = os.environ | {'OMP_NUM_THREADS': '1'}
     simulated = ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'exact_replay:=true']
-    # What is compared is numbers: kernels that the fitter compiled meanwhile would hold it up.
-    for path in {path.parent: path for path in TRIALS}.values():
-        whole_values(analyse(read_trial(path)))
     listener = Listener()
     with Supervisor(environment) as supervisor:
         supervisor.start(

@@ -262,46 +262,54 @@ def _fading(since, lag, swing, value, slope):  # type: ignore[no-untyped-def]
     return (left - (slope - slow * value) * math.exp(quick * since)) / (slow - quick)
 
 
+@kernel(error_model='numpy')
+def _behind(since, lag, swing, order):  # type: ignore[no-untyped-def]
+    """Return by how much a servo lags behind an even acceleration, or the integral of that."""
+    if order == 1:
+        if swing > _STIFF:
+            ahead = lag * lag * (1.0 - swing)
+            return lag * since - ahead + _fading(since, lag, swing, ahead, -lag)
+        return lag * since + lag * lag * np.expm1(-since / lag)
+    if swing > _STIFF:
+        ahead = lag * lag * (1.0 - swing)
+        level = -lag * lag * lag * (1.0 - 2.0 * swing)
+        fading = _fading(since, lag, swing, level, ahead)
+        return fading - level - since * (ahead - 0.5 * lag * since)
+    return lag * (0.5 * since * since - lag * since - lag * lag * np.expm1(-since / lag))
+
+
+# Inlined where it is short only: a kernel of nothing but inlined ones takes a minute to compile.
 @kernel(error_model='numpy', inline='always')
 def _travel(since, lag, swing, order):  # type: ignore[no-untyped-def]
     """Return the travel of a tool that is accelerated evenly for a time, or its integral."""
     if since <= 0.0:
         return 0.0
-    if order == 1:
-        way = 0.5 * since * since
-        if lag > 0.0 and swing > _STIFF:
-            ahead = lag * lag * (1.0 - swing)
-            way += ahead - lag * since - _fading(since, lag, swing, ahead, -lag)
-        elif lag > 0.0:
-            way -= lag * since + lag * lag * np.expm1(-since / lag)
-        return way
-    way = since * since * since / 6.0
-    if lag > 0.0 and swing > _STIFF:
-        ahead = lag * lag * (1.0 - swing)
-        level = -lag * lag * lag * (1.0 - 2.0 * swing)
-        way += level + since * (ahead - 0.5 * lag * since)
-        way -= _fading(since, lag, swing, level, ahead)
-    elif lag > 0.0:
-        way -= lag * (0.5 * since * since - lag * since - lag * lag * np.expm1(-since / lag))
+    way = 0.5 * since * since if order == 1 else since * since * since / 6.0
+    if lag > 0.0:
+        way -= _behind(since, lag, swing, order)
     return way
 
 
-@kernel(error_model='numpy', inline='always')
+@kernel(error_model='numpy')
 def _gone(at, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
     """Return the way of a tool whose speed changes by one, from when half of it has come on."""
     half = 0.5 * duration
+    soft = 0.5 * jerk
+    if at <= -half - soft:
+        return 0.0
+    if lag <= 0.0 and at >= half + soft:
+        return at
     if jerk <= _SOFT * duration or duration < _BRIEFEST:
         way = _travel(at + half, lag, swing, 1) - _travel(at - half, lag, swing, 1)
         way /= duration
     else:
-        soft = 0.5 * jerk
         way = _travel(at + half + soft, lag, swing, 2) - _travel(at + half - soft, lag, swing, 2)
         way -= _travel(at - half + soft, lag, swing, 2) - _travel(at - half - soft, lag, swing, 2)
         way /= duration * jerk
     return way
 
 
-@kernel(error_model='numpy', inline='always')
+@kernel(error_model='numpy')
 def _beyond(away, duration, jerk, lag, swing, part, wait):  # type: ignore[no-untyped-def]
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
@@ -496,7 +504,7 @@ class Corner(NamedTuple):
         return t, level + self.slope * t
 
 
-@kernel(error_model='numpy', inline='always')
+@kernel(error_model='numpy')
 def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
     """Return the sum of squares that a shape leaves where the tool rests at a shift."""
     level, slope, next_level, next_slope = lines
