@@ -959,15 +959,30 @@ def _moved(
     window = 2 * int(_TREND * blur) + 9
     trend = _running_median(slope, window // 2)
     trend = np.append(trend, trend[-1])
-    total = np.zeros(force.size)
     offsets = np.linspace(-_FAR, _FAR, 2 * int(_FAR * blur) + 5)
     weights = np.exp(-0.5 * offsets**2)
-    for offset, weight in zip(offsets * blur * spacing, weights / weights.sum(), strict=True):
-        change: FloatArray = np.interp(t + offset, t, force) - force - offset * trend
-        # Far from the ends of the record nothing is extrapolated.
-        inside = (t + offset >= t[0]) & (t + offset <= t[-1])
-        total += weight * np.where(inside, change, 0.0) ** 2
+    total = np.zeros(force.size)
+    _move(force, t, trend, offsets * blur * spacing, weights / weights.sum(), total)
     return total
+
+
+@kernel()
+def _move(force, t, trend, offsets, weights, total):  # type: ignore[no-untyped-def]
+    """Add to `total` the weighted squares of what each offset changes the force by."""
+    last = t.size - 1
+    for k in range(offsets.size):
+        offset = offsets[k]
+        after = 1
+        for i in range(last + 1):
+            at = t[i] + offset
+            # Far from the ends of the record nothing is extrapolated.
+            if at < t[0] or at > t[last]:
+                continue
+            while after < last and t[after] < at:
+                after += 1
+            slope = (force[after] - force[after - 1]) / (t[after] - t[after - 1])
+            change = force[after] + slope * (at - t[after]) - force[i] - offset * trend[i]
+            total[i] += weights[k] * change * change
 
 
 def fit(

@@ -50,6 +50,7 @@ from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.simplex import minimum
+from hapticvision_ros.core.fit.smooth import smooth
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs
@@ -120,6 +121,8 @@ _MORE_CORNERS: Final = 24
 _SHORTEST: Final = 4
 """Fewer samples between two that the path goes through have no line of their own."""
 _CLEAR: Final = 4.0
+_LOOSE: Final = 8
+"""Corners that no shape follows, from which on a tool may go along a curve."""
 _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
 _MOST_WAYS: Final = 16
@@ -846,10 +849,20 @@ def _prepare(
         path=path,
     )
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
-    if path.t.size <= 4 * _MOST_PIECES:
-        events += [t for t in path.events if touch < t < edges[-1]]
+    if path.t.size <= max(4 * _MOST_PIECES, edges.size // 2):
+        events += [t for t in _turning(path) if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
+
+
+def _turning(path: ToolPath) -> list[float]:
+    """Return when the tool changes its speed by a part that matters [s]."""
+    if path.t.size <= 4 * _MOST_PIECES:
+        return path.events
+    # The knots of a curve at rest, and of one that hardly bends.
+    slope = np.diff(path.displacement) / np.diff(path.t)
+    turns = np.abs(np.diff(slope)) > _HELD * float(np.abs(slope).max())
+    return list(path.t[1:-1][turns])
 
 
 def range_end_of(trials: Sequence[tuple[Trial, Segmentation]]) -> float:
@@ -1415,13 +1428,21 @@ def _path(
     first, last = 0, t.size
     touch = -math.inf if phases.t_contact is None else phases.t_contact
     depth = float(value.max())
-    if noise < _EXACT[-1] * depth:
+    exact = noise < _EXACT[-1] * depth
+    if exact:
         # A campaign's paths are made several times, for arms that change their speed otherwise.
         noise = _as_exact(t.tobytes(), value.tobytes(), noise, depth, tuple(events), touch)
     found = _closely(t, value, events, noise, servo, touch)
     if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
         first, last = near
         found = _closely(t[first:last], value[first:last], events, noise, servo, touch)
+    loose = math.inf if found is None else _loose(found)
+    part = slice(*near)
+    if not exact and loose >= _LOOSE and part.stop - part.start >= _FEWEST:
+        way = smooth(t[part], value[part], noise)
+        if found is None or way.misfit < _misfit(t[part], value[part], found, noise):
+            first, last = near
+            found = way.t, way.value, []
     if found is None:
         found = t[first:last], value[first:last], []
     knots, levels, turns = found
@@ -1439,6 +1460,19 @@ def _path(
         _rest(turns, phases, float(value.max()), interval),
     )
     return path, turns
+
+
+def _misfit(
+    t: FloatArray,
+    value: FloatArray,
+    found: tuple[FloatArray, FloatArray, list[_Turned]],
+    noise: float,
+) -> float:
+    """Return what a path leaves of samples, over the noise, with a price for its corners."""
+    knots, levels, turns = found
+    miss = value - ToolPath(knots, levels, noise, tuple(_bends(turns))).at(t)
+    corners = np.count_nonzero((knots >= t[0]) & (knots <= t[-1]))
+    return float(miss @ miss) / noise**2 + 2.0 * corners * math.log(t.size)
 
 
 def _bends(turns: Sequence[_Turned]) -> list[Bend]:

@@ -1,0 +1,268 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The way of a tool that goes neither straight nor by a known shape, from encoders with noise.
+
+Gears ripple, and a tool may be led along a curve. A path through the samples then makes force of
+their noise, and so does one of straight pieces of their corners. Between them is the smoothest way
+that the samples allow: its jerk is white noise, whose size each part of the record tells by its
+likelihood. A tool at rest is smoothed over long, and one that stops only as far as it may.
+
+References
+----------
+H. E. Rauch, F. Tung, and C. T. Striebel, AIAA J. 3, 1965, 1445-1450, doi:10.2514/3.3166
+(smoother).
+G. Wahba, J. R. Stat. Soc. B 40, 1978, 364-372, doi:10.1111/j.2517-6161.1978.tb01050.x (splines as
+smoothed random walks).
+
+"""
+
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+_SPAN: Final = 0.3
+"""A part of the record that is looked at by itself [s]."""
+_FEWEST: Final = 32
+"""Samples of such a part, at least."""
+_STILL: Final = 0.5
+"""Bandwidth of a part that shows no jerk, over one over its length [rad]."""
+_STEP: Final = 1.5
+"""Ratio of the bandwidths that are tried."""
+_LONGER: Final = 4
+"""Ratio of the lengths of parts that are looked at in turn."""
+_SHOWN: Final = 3.0
+"""Rise of the log likelihood from which on a part shows a jerk."""
+_BETWEEN: Final = 0.25
+"""Interval between two knots, over one over the bandwidth [rad]."""
+_MOST_PARTS: Final = 8
+"""Knots between two samples, at most, and one."""
+_VAGUE: Final = 10.0
+"""What is known before the first sample, over what the record spans."""
+
+
+class Way(NamedTuple):
+    """
+    A smooth way.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (k,)
+        Knots, between which it is straight [s, m].
+    misfit : float
+        Minus twice the log likelihood of the samples, but for a constant.
+
+    """
+
+    t: FloatArray
+    value: FloatArray
+    misfit: float
+
+
+def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
+    """
+    Return the smoothest way that samples with noise allow.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        The samples [s, m].
+    noise : float
+        Standard deviation of each [m].
+
+    Returns
+    -------
+    Way
+        It, from the first sample to the last.
+
+    """
+    return _smooth(t.tobytes(), value.tobytes(), noise)
+
+
+@lru_cache(maxsize=64)
+def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
+    # A campaign's paths are made several times, for arms that change their speed otherwise.
+    t, value = np.frombuffer(samples).copy(), np.frombuffer(heights).copy()
+    interval = float(np.median(np.diff(t)))
+    variance = noise * noise
+    vague = _vague(value, interval)
+    many = max(_FEWEST, round(_SPAN / interval))
+    bandwidth = np.full(t.size, _STILL / (many * interval))
+    while True:
+        # What bends slowly is seen over long only, beside what short parts have shown by then.
+        many = min(many, t.size)
+        still = _STILL / (many * interval)
+        least = bandwidth.copy()
+        widths = np.geomspace(still, 1.0 / interval, _tries(still * interval))
+        for first in range(0, max(t.size - many // 2, 1), max(many // 2, 1)):
+            part = slice(first, min(first + many, t.size))
+            unit = variance * interval
+            best = _widest(t[part], value[part], variance, vague, unit, least[part], widths)
+            if best > 0:
+                bandwidth[part] = np.maximum(bandwidth[part], widths[best])
+        if many == t.size:
+            break
+        many *= _LONGER
+    intensity = variance * interval * np.minimum(bandwidth[1:], bandwidth[:-1]) ** 6
+    state, speed = np.empty(t.size), np.empty(t.size)
+    misfit = _through(t, value, variance, vague, intensity, state, speed)
+    knots, levels = _knots(t, state, speed, bandwidth)
+    return Way(knots, levels, misfit)
+
+
+def _tries(ratio: float) -> int:
+    """Return how many bandwidths there are from the least, over the most, on."""
+    return max(2, int(np.ceil(-np.log(ratio) / np.log(_STEP))))
+
+
+def _vague(value: FloatArray, interval: float) -> FloatArray:
+    """Return the variances of place, speed and acceleration before the first sample."""
+    spans = _VAGUE * float(np.ptp(value))
+    return np.array([spans, spans / (8.0 * interval), spans / (8.0 * interval) ** 2]) ** 2
+
+
+def _widest(
+    t: FloatArray,
+    value: FloatArray,
+    variance: float,
+    vague: FloatArray,
+    unit: float,
+    least: FloatArray,
+    widths: FloatArray,
+) -> int:
+    """Return the place of the most likely bandwidth, at `least`; the first where none is shown."""
+    misfits = np.empty(widths.size)
+    _try(t, value, variance, vague, unit, least, widths, misfits)
+    best = int(np.argmin(misfits))
+    return best if misfits[best] < misfits[0] - 2.0 * _SHOWN else 0
+
+
+def _knots(
+    t: FloatArray, state: FloatArray, speed: FloatArray, bandwidth: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return knots as dense as the bandwidth asks for, on a cubic between the samples."""
+    steps = np.diff(t)
+    wide = np.maximum(bandwidth[1:], bandwidth[:-1])
+    parts = np.clip(np.ceil(steps * wide / _BETWEEN), 1, _MOST_PARTS).astype(np.intp)
+    number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
+    share = number / np.repeat(parts, parts)
+    place = np.repeat(np.arange(steps.size), parts)
+    step = steps[place]
+    rest = 1.0 - share
+    level = rest * rest * (1.0 + 2.0 * share) * state[place]
+    level += share * share * (3.0 - 2.0 * share) * state[place + 1]
+    level += share * rest * step * (rest * speed[place] - share * speed[place + 1])
+    knots = t[place] + share * step
+    # Fewer where the way bends little: one wherever that many turns of the bandwidth have passed.
+    turns = np.concatenate(([0.0], np.cumsum(steps * wide)))
+    passed = np.floor(np.interp(knots, t, turns) / _BETWEEN)
+    kept = np.concatenate(([True], np.diff(passed) > 0.0))
+    return np.append(knots[kept], t[-1]), np.append(level[kept], state[-1])
+
+
+@kernel(error_model='numpy')
+def _forth(h, q, m, p):  # type: ignore[no-untyped-def]
+    """Take mean and covariance (xx, xv, xa, vv, va, aa) over a step with a white jerk."""
+    h2 = h * h
+    h3 = h2 * h
+    m[0] += h * m[1] + 0.5 * h2 * m[2]
+    m[1] += h * m[2]
+    xx, xv, xa, vv, va, aa = p[0], p[1], p[2], p[3], p[4], p[5]
+    p[0] = xx + 2.0 * h * xv + h2 * (vv + xa) + h3 * va + 0.25 * h2 * h2 * aa
+    p[0] += q * h2 * h3 / 20.0
+    p[1] = xv + h * (vv + xa) + 1.5 * h2 * va + 0.5 * h3 * aa + q * h2 * h2 / 8.0
+    p[2] = xa + h * va + 0.5 * h2 * aa + q * h3 / 6.0
+    p[3] = vv + 2.0 * h * va + h2 * aa + q * h3 / 3.0
+    p[4] = va + h * aa + q * h2 / 2.0
+    p[5] = aa + q * h
+
+
+@kernel(error_model='numpy')
+def _taken(value, variance, m, p):  # type: ignore[no-untyped-def]
+    """Take a sample into mean and covariance; return minus twice its log likelihood."""
+    s = p[0] + variance
+    miss = value - m[0]
+    x, v, a = p[0] / s, p[1] / s, p[2] / s
+    m[0] += x * miss
+    m[1] += v * miss
+    m[2] += a * miss
+    p[5] -= a * p[2]
+    p[4] -= a * p[1]
+    p[3] -= v * p[1]
+    p[2] = p[2] * variance / s
+    p[1] = p[1] * variance / s
+    p[0] = p[0] * variance / s
+    return miss * miss / s + np.log(s / variance)
+
+
+@kernel(error_model='numpy')
+def _try(t, value, variance, vague, unit, least, widths, misfits):  # type: ignore[no-untyped-def]
+    """Set the misfit of some samples for each bandwidth, or `least` where that is more."""
+    m = np.empty(3)
+    p = np.empty(6)
+    for j in range(widths.size):
+        m[:] = 0.0
+        m[0] = value[0]
+        p[:] = 0.0
+        p[0], p[3], p[5] = vague[0], vague[1], vague[2]
+        total = _taken(value[0], variance, m, p)
+        for i in range(1, t.size):
+            width = max(min(least[i], least[i - 1]), widths[j])
+            _forth(t[i] - t[i - 1], unit * width**6, m, p)
+            total += _taken(value[i], variance, m, p)
+        misfits[j] = total
+
+
+@kernel(error_model='numpy')
+def _through(  # type: ignore[no-untyped-def]
+    t, value, variance, vague, intensity, state, speed
+):
+    """Set the smoothed places and speeds; return minus twice the log likelihood."""
+    n = t.size
+    means = np.empty((n, 3))
+    covariances = np.empty((n, 6))
+    m = np.zeros(3)
+    m[0] = value[0]
+    p = np.zeros(6)
+    p[0], p[3], p[5] = vague[0], vague[1], vague[2]
+    total = _taken(value[0], variance, m, p)
+    means[0] = m
+    covariances[0] = p
+    for i in range(1, n):
+        _forth(t[i] - t[i - 1], intensity[i - 1], m, p)
+        total += _taken(value[i], variance, m, p)
+        means[i] = m
+        covariances[i] = p
+    # Backwards, what later samples say of the mean at a sample: the modified Bryson-Frazier form
+    # of the smoother, which inverts no covariance.
+    x = v = a = 0.0
+    state[n - 1] = means[n - 1, 0]
+    speed[n - 1] = means[n - 1, 1]
+    for i in range(n - 2, -1, -1):
+        m[:] = means[i]
+        p[:] = covariances[i]
+        h = t[i + 1] - t[i]
+        _forth(h, intensity[i], m, p)
+        s = p[0] + variance
+        x -= (p[0] * x + p[1] * v + p[2] * a + value[i + 1] - m[0]) / s
+        a += h * v + 0.5 * h * h * x
+        v += h * x
+        c = covariances[i]
+        state[i] = means[i, 0] - (c[0] * x + c[1] * v + c[2] * a)
+        speed[i] = means[i, 1] - (c[1] * x + c[3] * v + c[4] * a)
+    return total

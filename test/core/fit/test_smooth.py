@@ -1,0 +1,123 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The smooth way of a tool through the noise of its encoders."""
+
+from hapticvision_ros.core.fit.data import prepare, tool_path
+from hapticvision_ros.core.fit.smooth import _through, _vague, smooth
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
+import numpy as np
+import pytest
+
+PHASES = Segmentation(1.0, 3.0, 13.0, 13.1, 20.0, 0.04, 0.0, 0.003, 0.006)
+
+
+def _rippling(t: np.ndarray, ripple: float) -> np.ndarray:
+    """Return a push at 3 mm/s, a hold and a withdrawal, with a ripple of 9 Hz while it moves."""
+    way = np.interp(t, [0.0, 3.0, 13.0, 14.0, 20.0], [-0.003, 0.006, 0.006, -0.02, -0.02])
+    moves = np.interp(t, [2.95, 3.0, 13.0, 13.05, 13.95, 14.0], [1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+    return way + ripple * moves * np.sin(2.0 * np.pi * 9.0 * t)
+
+
+def _noisy(t: np.ndarray, way: np.ndarray, noise: float, rounded: float, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return np.round((way + noise * random.standard_normal(t.size)) / rounded) * rounded
+
+
+def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
+    """Held against the Gaussian whose covariance is written out, with uneven samples."""
+    random = np.random.default_rng(0)
+    t = np.cumsum(random.uniform(0.5, 1.5, 40) * 0.01)
+    value = 1e-3 * np.sin(20.0 * t) + 1e-5 * random.standard_normal(t.size)
+    intensity = 10.0 ** random.uniform(0.0, 2.0, t.size - 1)
+    variance, vague = 1e-10, _vague(value, 0.01)
+    state, speed = np.empty(t.size), np.empty(t.size)
+    misfit = _through(t, value, variance, vague, intensity, state, speed)
+
+    # Rows of each state as a sum of what is new in each step, which is independent.
+    rows = np.zeros((t.size, 3, 3 * t.size))
+    rows[0, :, :3] = np.diag(np.sqrt(vague))
+    for i, h in enumerate(np.diff(t)):
+        step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+        spread = intensity[i] * np.array(
+            [
+                [h**5 / 20.0, h**4 / 8.0, h**3 / 6.0],
+                [h**4 / 8.0, h**3 / 3.0, h**2 / 2.0],
+                [h**3 / 6.0, h**2 / 2.0, h],
+            ]
+        )
+        rows[i + 1] = step @ rows[i]
+        rows[i + 1, :, 3 * i + 3 : 3 * i + 6] += np.linalg.cholesky(spread)
+    places, speeds = rows[:, 0], rows[:, 1]
+    covariance = places @ places.T + variance * np.eye(t.size)
+    weighted = np.linalg.solve(covariance, value - value[0])
+    np.testing.assert_allclose(state, value[0] + places @ places.T @ weighted, atol=1e-9)
+    np.testing.assert_allclose(speed, speeds @ places.T @ weighted, rtol=1e-4, atol=1e-6)
+    _, log_determinant = np.linalg.slogdet(covariance / variance)
+    expected = (value - value[0]) @ weighted + log_determinant
+    assert misfit == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ('rate', 'ripple', 'noise', 'rounded', 'off', 'speed'),
+    [(1000.0, 14e-6, 8e-6, 5e-6, 2e-6, 1.5e-4), (125.0, 24e-6, 4e-6, 1e-5, 3e-6, 2.5e-4)],
+)
+def test_a_tool_that_ripples_is_followed_better_than_its_encoders_tell(
+    rate: float, ripple: float, noise: float, rounded: float, off: float, speed: float
+) -> None:
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    value = _noisy(t, _rippling(t, ripple), noise, rounded, 1)
+    path = tool_path(Signal(t, value), PHASES)
+    fine = np.arange(0.7, 2.8, 1e-4)
+    true = _rippling(fine, ripple)
+    assert np.std(path.at(fine) - true) < off
+    # The dashpots make force of the speed, which samples tell far worse.
+    assert np.std(np.gradient(path.at(fine) - true, fine)) < speed
+    assert np.std(np.gradient(np.interp(fine, t, value) - true, fine)) > 3.0 * speed
+    held = np.arange(4.0, 12.0, 1e-3)
+    assert np.std(path.at(held) - 0.006) < 0.3 * off
+
+
+def test_a_way_that_bends_slowly_is_smoothed_over_long() -> None:
+    t = np.arange(0.0, 20.0, 0.002)
+    way = 0.004 * np.sin(0.5 * t)
+    found = smooth(t, _noisy(t, way, 1e-5, 1e-6, 2), 1e-5)
+    off = np.interp(t, found.t, found.value) - way
+    assert np.std(off) < 2e-6
+    # Few knots are enough.
+    assert found.t.size < t.size // 10
+
+
+def test_straight_pieces_remain_where_they_follow_the_samples() -> None:
+    t = np.arange(0.0, 20.0, 0.002)
+    path = tool_path(
+        Signal(
+            t,
+            _noisy(t, _rippling(t, 0.0), 5e-6, 1e-6, 3),
+        ),
+        PHASES,
+    )
+    assert path.t.size <= 12
+
+
+def test_the_steps_of_a_trial_are_sparse_where_a_rippling_tool_rests() -> None:
+    t = np.arange(0.0, 20.0, 0.001)
+    tool = Signal(t, 0.04 - _noisy(t, _rippling(t, 14e-6), 8e-6, 5e-6, 4))
+    force = np.where((t > 1.0) & (t < 13.2), 1000.0 * np.maximum(_rippling(t, 0.0), 0.0), 0.0)
+    force += 0.01 * np.random.default_rng(5).standard_normal(t.size)
+    trial = Trial('rippling', 0, Signal(t, force), tool, None, 'none')
+    (made,), _ = prepare([(trial, PHASES)])
+    assert made is not None
+    held = np.count_nonzero((made.t > 5.0) & (made.t < 11.0))
+    assert held < 3000
