@@ -64,6 +64,10 @@ _FINEST: Final = 2000.0
 """The integrator makes at least this many steps a second [Hz]."""
 _OVERSAMPLING: Final = 10
 """Steps of the integrator between two samples of the load cell, at least."""
+_FULL_RIPPLE: Final = 0.3
+"""Speed of the arm from which on it ripples in full, over that of the push."""
+_RIPPLE_STEPS: Final = 64
+"""Pieces of even acceleration in a period of the ripple."""
 _COARSE: Final = 4000
 """Steps of a trial where only its peak is asked for."""
 
@@ -198,6 +202,9 @@ class Campaign:
         Rest before the approach [s].
     clearance : float
         How far above the surface the tool starts and ends [m].
+    ripple, ripple_rate : float
+        Amplitude [m] and frequency [Hz] at which the tool goes to and fro while the arm moves, as
+        its gears make it; slow moves ripple less.
 
     """
 
@@ -212,6 +219,8 @@ class Campaign:
     acceleration: float = 0.5
     quiet_time: float = 1.0
     clearance: float = 0.010
+    ripple: float = 0.0
+    ripple_rate: float = 8.0
 
     @property
     def deepest(self) -> float:
@@ -585,7 +594,23 @@ def _motion(campaign: Campaign, push: Push) -> tuple[Motion, float, tuple[tuple[
     phases.append((path.t, 'recover'))
     path.rest(push.recover)
     phases.append((path.t, 'done'))
-    return path.motion(), path.t, tuple(phases)
+    motion = path.motion()
+    if campaign.ripple > 0.0:
+        motion = _rippling(motion, campaign, _FULL_RIPPLE * push.speed)
+    return motion, path.t, tuple(phases)
+
+
+def _rippling(motion: Motion, campaign: Campaign, full: float) -> Motion:
+    """Return a motion with the ripple of the arm, which is full from some speed [m/s] on."""
+    step = 1.0 / (_RIPPLE_STEPS * campaign.ripple_rate)
+    t = np.arange(0.0, float(motion.t[-1]) + step, step)
+    depth, speed, _ = motion.at(t)
+    part = np.minimum(np.abs(speed) / full, 1.0)
+    depth += campaign.ripple * part * np.sin(2.0 * math.pi * campaign.ripple_rate * t)
+    # Speeds that are continuous, with a piece of even acceleration between two of them.
+    speeds = np.append(np.gradient(depth[:-1], step), 0.0)
+    way = np.concatenate(([0.0], np.cumsum(0.5 * step * (speeds[1:] + speeds[:-1]))))
+    return Motion(t, depth[0] + way, speeds, np.append(np.diff(speeds) / step, 0.0))
 
 
 def _trial(

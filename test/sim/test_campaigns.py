@@ -204,6 +204,25 @@ def test_the_load_cell_lags_by_its_time_constant() -> None:
     np.testing.assert_allclose(late.force.value[hold], expected, atol=1e-3 * expected.max())
 
 
+def test_an_arm_ripples_while_it_moves() -> None:
+    straight, duration, _ = CAMPAIGN.motion(0)
+    rippling, _, _ = replace(CAMPAIGN, ripple=2e-5, ripple_rate=8.0).motion(0)
+    t = np.arange(0.0, duration, 1e-3)
+    depth = rippling.at(t)[0]
+    off = depth - straight.at(t)[0]
+    at_rest = straight.at(t)[1] == 0.0
+    # Where it starts and stops the pieces cut a corner.
+    assert np.abs(off).max() == pytest.approx(2e-5, rel=0.1)
+    assert np.abs(off[at_rest]).max() < 4e-6
+    push = (t > 1.6) & (np.abs(straight.at(t)[1] - 0.008) < 1e-9)
+    power = np.abs(np.fft.rfft(off[push] - off[push].mean()))
+    assert np.fft.rfftfreq(push.sum(), 1e-3)[np.argmax(power)] == pytest.approx(8.0, abs=1.0)
+    # The pieces go on where the one before ends.
+    steps = np.diff(rippling.t)
+    ends = rippling.depth[:-1] + steps * (rippling.speed[:-1] + rippling.speed[1:]) / 2.0
+    np.testing.assert_allclose(ends, rippling.depth[1:], atol=1e-12)
+
+
 def test_drift_goes_on_over_the_campaign_and_hum_keeps_its_phase() -> None:
     bare = ideal()
     for effect, change in (

@@ -1386,7 +1386,9 @@ def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = 
     split in two where their samples, or means of 4 to 64 of them, leave a straight line by more
     than the noise allows, so that a curved path is followed by many of them. Corners between two
     clear slopes go to where the lines meet, and the levels at all corners are those of least
-    squares. Encoders that are nearly exact are followed as far as the shapes of arms go.
+    squares. A tool that goes neither straight nor by the shapes of arms, as with gears that
+    ripple, is followed along the smoothest way that the noise allows. Encoders that are nearly
+    exact are followed as far as the shapes of arms go.
 
     Parameters
     ----------
@@ -1400,8 +1402,8 @@ def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = 
     Returns
     -------
     ToolPath
-        The path; where that takes too many corners, from a fifth of the depth above the object on
-        only roughly.
+        The path; where that takes too many corners or is a smooth way, from a fifth of the depth
+        above the object on only roughly.
 
     """
     return _path(displacement, phases, servo)[0]

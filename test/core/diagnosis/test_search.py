@@ -30,7 +30,14 @@ from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
-from hapticvision_ros.sim.campaigns import random_campaign, run
+from hapticvision_ros.sim.campaigns import (
+    Campaign,
+    ForceNoise,
+    Push,
+    random_campaign,
+    run,
+    Sensors,
+)
 from hapticvision_ros.sim.specimen import Body, Undeclared
 import numpy as np
 import pytest
@@ -260,6 +267,29 @@ def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     assert (found.status, found.effects) == ('none', ())
     # By what the encoders alone tell of the stops, there would be something.
     assert first == [True]
+
+
+def test_an_arm_that_ripples_is_no_effect() -> None:
+    """By 15 um at 9 Hz, before encoders that tell a moment to 4 um; the body feels the speed."""
+    campaign = Campaign(
+        Body(3000.0, 500.0, 3000.0),
+        tuple(Push(speed, depth, 4.0, 4.0) for speed, depth in ((2e-3, 6e-3), (6e-3, 4e-3))),
+        Sensors(
+            ForceNoise(0.1),
+            1e-5,
+            force_rate=500.0,
+            tool_rate=500.0,
+            encoder_noise=4e-6,
+            encoder_resolution=5e-6,
+        ),
+        acceleration=0.1,
+        ripple=15e-6,
+        ripple_rate=9.0,
+    )
+    trials, _ = run(campaign, seed=3)
+    found = diagnose([(a.trial, a.segmentation) for a in map(analyse, trials)])
+    assert (found.status, found.effects) == ('none', ())
+    assert np.exp(found.before.theta[:3]) == pytest.approx([3000.0, 500.0, 3000.0], rel=0.01)
 
 
 @pytest.mark.parametrize('seed', range(2))
