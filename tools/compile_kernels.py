@@ -39,6 +39,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.bootstrap import sensor_noise
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.fit.smooth import smooth
 from hapticvision_ros.core.haptic import HapticStepper
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.surface.distance import nearest
@@ -60,6 +61,8 @@ def fits() -> None:
     for bag in BAGS:
         fit([analyse(read_trial(Path(bag)))], Model(EFFECTS))
     HapticStepper(Model(), {'K1': 1.0, 'C1': 1.0, 'C2': 1.0})
+    # No arm of these bags goes along a curve.
+    smooth(np.arange(64.0), np.zeros(64), 1.0)
 
 
 def worlds() -> None:

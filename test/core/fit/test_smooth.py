@@ -58,7 +58,7 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
             ]
         )
         rows[i + 1] = step @ rows[i]
-        rows[i + 1, :, 3 * i + 3 : 3 * i + 6] += np.linalg.cholesky(spread)
+        rows[i + 1, :, 3 * (i + 1) + np.arange(3)] += np.linalg.cholesky(spread).T
     places, speeds = rows[:, 0], rows[:, 1]
     covariance = places @ places.T + variance * np.eye(t.size)
     weighted = np.linalg.solve(covariance, value - value[0])
