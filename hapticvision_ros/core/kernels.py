@@ -86,12 +86,17 @@ class _Cache(FunctionCache):
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             found = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            if found is None:
-                self._take_lock()
+            if found is not None:
+                return found
+            self._take_lock()
+            try:
                 # Another process may have kept it since.
                 found = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-                if found is not None:
-                    self._give_lock_back()
+            except BaseException:
+                self.give_lock_back()
+                raise
+            if found is not None:
+                self.give_lock_back()
             return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -99,12 +104,10 @@ class _Cache(FunctionCache):
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         finally:
-            self._give_lock_back()
+            self.give_lock_back()
 
     def _take_lock(self) -> None:
         """Wait until no other process compiles the kernel; go on where no lock can be had."""
-        # That of a compilation that failed.
-        self._give_lock_back()
         path = Path(self.cache_path) / f'{self._impl.filename_base}.lock'
         with contextlib.suppress(OSError):
             self._impl.locator.ensure_cache_path()
@@ -121,8 +124,12 @@ class _Cache(FunctionCache):
                         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                         return
 
-    def _give_lock_back(self) -> None:
+    def give_lock_back(self) -> None:
+        """Let other processes compile the kernel."""
         if self._lock is not None:
+            # A process that was forked meanwhile has the same lock.
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._lock, fcntl.LOCK_UN)
             os.close(self._lock)
             self._lock = None
 
@@ -146,7 +153,17 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def compile_(function: Callable[..., Any]) -> Any:
         compiled = njit(nogil=True, **options)(function)
         with contextlib.suppress(RuntimeError):
-            compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
+            cache = compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
+            compile_types = compiled._compiler.compile
+
+            def guarded(*types: Any) -> Any:
+                try:
+                    return compile_types(*types)
+                except BaseException:
+                    cache.give_lock_back()
+                    raise
+
+            compiled._compiler.compile = guarded
         return compiled
 
     return compile_
@@ -154,7 +171,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 def kept(module: ModuleType) -> bool:
     """
-    Return whether kernels of a module were compiled since its last change, on this machine.
+    Return whether kernels of a module were compiled since its last change.
 
     Parameters
     ----------
@@ -164,12 +181,17 @@ def kept(module: ModuleType) -> bool:
     Returns
     -------
     bool
-        Whether any of them is kept.
+        Whether any of them is kept, or none of them can be.
 
     """
     caches = [getattr(member, '_cache', None) for member in vars(module).values()]
-    return any(
-        cache._cache_file._load_index()  # type: ignore[no-untyped-call]
+    # Without a place to keep them in there are none, nor where they are not compiled at all.
+    own = [
+        cache
         for cache in caches
         if isinstance(cache, _Cache) and cache._py_func.__module__ == module.__name__
+    ]
+    return not own or any(
+        cache._cache_file._load_index()  # type: ignore[no-untyped-call]
+        for cache in own
     )

@@ -23,11 +23,14 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from typing import Final
 
 NICENESS: Final = 10
 """What takes the messages goes first."""
-_COMMAND: Final = (sys.executable, '-m', 'hapticvision_ros.nodes.fit_kernels')
+_COMMAND: Final = (sys.executable, '-P', '-m', 'hapticvision_ros.nodes.fit_kernels')
+_LONGEST: Final = 600.0
+"""The first fit compiles what this long was not enough for [s]."""
 _LOOK_AGAIN: Final = 0.1
 """Period at which it is looked whether the node stops [s]."""
 
@@ -35,11 +38,12 @@ _LOOK_AGAIN: Final = 0.1
 def missing() -> bool:
     """Return whether kernels that each fit calls have changed since they were compiled."""
     # These take longer to import than a node may take to answer.
-    from hapticvision_ros.core.fit import bend, campaign, data, noise_model, start
+    from hapticvision_ros.core.fit import bend, campaign, data, noise_model, smooth, start
     from hapticvision_ros.core.kernels import kept
     from hapticvision_ros.core.models import chain
 
-    return not all(kept(module) for module in (bend, campaign, chain, data, noise_model, start))
+    modules = (bend, campaign, chain, data, noise_model, smooth, start)
+    return not all(kept(module) for module in modules)
 
 
 def compile_apart(stopping: threading.Event) -> None:
@@ -68,8 +72,10 @@ def compile_apart(stopping: threading.Event) -> None:
     except OSError:
         return
     try:
-        while process.poll() is None and not stopping.wait(_LOOK_AGAIN):
-            pass
+        deadline = time.monotonic() + _LONGEST
+        while process.poll() is None and time.monotonic() < deadline:
+            if stopping.wait(_LOOK_AGAIN):
+                break
     finally:
         process.kill()
         process.wait()
@@ -82,6 +88,7 @@ def main() -> int:
 
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.fit.campaign import fit
+    from hapticvision_ros.core.fit.smooth import smooth
     from hapticvision_ros.core.pipeline import analyse
     from hapticvision_ros.core.records import Signal, Trial
     import numpy as np
@@ -97,6 +104,8 @@ def main() -> int:
     height = Signal(t, 0.05 - depth + random.normal(0.0, 1e-6, t.size))
     trial = Trial('calculated', 0, Signal(t, force), height, None, 'none')
     fit([analyse(trial)], Model())
+    # The arm of this push goes along no curve.
+    smooth(t, height.value, 1e-6)
     return 0
 
 

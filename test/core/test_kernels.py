@@ -19,8 +19,11 @@ import fcntl
 from pathlib import Path
 import subprocess
 import sys
+import time
+from types import ModuleType
 
-from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core import kernels
+from hapticvision_ros.core.kernels import kept, kernel
 from numba.core import caching
 from numba.core.errors import TypingError
 import pytest
@@ -116,8 +119,23 @@ def test_a_kernel_that_cannot_be_compiled_does_not_hold_up_others() -> None:
     compiled._cache.flush()
     with pytest.raises(TypingError):
         compiled('text')
-    assert compiled(1.5) == 3.0
+    # Another one of the same function has a lock of its own.
+    began = time.monotonic()
     assert kernel()(_double)(3) == 6.0
+    assert time.monotonic() - began < kernels._LONGEST_WAIT / 2.0
+    assert compiled(1.5) == 3.0
+
+
+def test_what_cannot_be_kept_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType(_double.__module__)
+    module.double = kernel()(_double)  # type: ignore[attr-defined]
+    module.double._cache.flush()
+    assert not kept(module)
+    module.double(1.5)
+    assert kept(module)
+    monkeypatch.setattr(caching.CompileResultCacheImpl, '_locator_classes', [])
+    module.double = kernel()(_double)  # type: ignore[attr-defined]
+    assert kept(module)
 
 
 def test_a_kernel_works_where_no_lock_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:

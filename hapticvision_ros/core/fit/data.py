@@ -50,7 +50,7 @@ from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.simplex import minimum
-from hapticvision_ros.core.fit.smooth import smooth
+from hapticvision_ros.core.fit.smooth import smooth, Way
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs
@@ -123,6 +123,10 @@ _SHORTEST: Final = 4
 _CLEAR: Final = 4.0
 _LOOSE: Final = 3
 """Corners that no shape follows, from which on a tool may go along a curve."""
+_DITHERED: Final = 1.4
+"""Noise of the encoders over that of their rounding, from which on neighbours err apart."""
+_FOLLOWED: Final = 4.0
+"""Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
 _MOST_WAYS: Final = 16
@@ -294,6 +298,9 @@ class ToolPath:
         How the arm changes its speed, where the campaign tells it.
     rest : Rest or None
         How well encoders that round tell where the tool is held.
+    still : float
+        Interval between corners from which on the tool hardly changes its speed there, as at the
+        knots of a smooth way [s].
 
     """
 
@@ -304,6 +311,7 @@ class ToolPath:
     interval: float = 0.0
     servo: Servo | None = None
     rest: Rest | None = None
+    still: float = math.inf
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -365,6 +373,12 @@ class ToolPath:
     @property
     def events(self) -> list[float]:
         """Return when the tool's speed changes [s]."""
+        if self.still < math.inf:
+            gaps = np.diff(self.t)
+            slope = np.diff(self.displacement) / gaps
+            turns = np.minimum(gaps[1:], gaps[:-1]) < self.still
+            turns |= np.abs(np.diff(slope)) > _HELD * float(np.abs(slope).max())
+            return list(self.t[1:-1][turns])
         edges = [edge for bend in self.bends for edge in (bend.start, bend.stop)]
         return [*self.t.tolist(), *edges]
 
@@ -486,8 +500,8 @@ class FitTrial:
     @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
-        if self.path.t.size > 4 * _MOST_PIECES:
-            # Corners at the encoders' samples are their noise as well.
+        if self.path.t.size > 4 * _MOST_PIECES or self.path.still < math.inf:
+            # Corners at the encoders' samples are their noise as well, and a smooth way has none.
             return None
         fine = self.interval / _PARTS
         bent = [
@@ -849,20 +863,10 @@ def _prepare(
         path=path,
     )
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
-    if path.t.size <= max(4 * _MOST_PIECES, edges.size // 2):
-        events += [t for t in _turning(path) if touch < t < edges[-1]]
+    if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
+        events += [t for t in path.events if touch < t < edges[-1]]
         return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
     return raw.full_rate
-
-
-def _turning(path: ToolPath) -> list[float]:
-    """Return when the tool changes its speed by a part that matters [s]."""
-    if path.t.size <= 4 * _MOST_PIECES:
-        return path.events
-    # The knots of a curve at rest, and of one that hardly bends.
-    slope = np.diff(path.displacement) / np.diff(path.t)
-    turns = np.abs(np.diff(slope)) > _HELD * float(np.abs(slope).max())
-    return list(path.t[1:-1][turns])
 
 
 def range_end_of(trials: Sequence[tuple[Trial, Segmentation]]) -> float:
@@ -1438,15 +1442,13 @@ def _path(
     if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
         first, last = near
         found = _closely(t[first:last], value[first:last], events, noise, servo, touch)
-    loose = math.inf if found is None else _loose(found)
-    part = slice(*near)
     # The arm is told by its changes of speed, also where another way follows the samples better.
     told = [] if found is None else found[2]
-    if not exact and loose >= _LOOSE and part.stop - part.start >= _FEWEST:
-        way = smooth(t[part], value[part], noise)
-        if found is None or way.misfit < _misfit(t[part], value[part], found, noise):
-            first, last = near
-            found = way.t, way.value, []
+    still = math.inf
+    way = None if exact else _smooth_way(t[slice(*near)], value[slice(*near)], found, noise)
+    if way is not None:
+        first, last = near
+        found, still = (way.t, way.value, []), way.still
     if found is None:
         found = t[first:last], value[first:last], []
     knots, levels, turns = found
@@ -1462,8 +1464,28 @@ def _path(
         interval,
         servo,
         _rest(turns, phases, float(value.max()), interval),
+        still,
     )
     return path, told
+
+
+def _smooth_way(
+    t: FloatArray,
+    value: FloatArray,
+    found: tuple[FloatArray, FloatArray, list[_Turned]] | None,
+    noise: float,
+) -> Way | None:
+    """Return the smooth way of a tool that goes neither straight nor by the shapes of arms."""
+    if t.size < _FEWEST:
+        return None
+    if found is not None:
+        corners = found[0].size - 2 - len(_bends(found[2]))
+        # The errors of readings that round and have hardly other noise go alike for long.
+        if corners < _LOOSE or noise < _DITHERED * rounding(value):
+            return None
+    way = smooth(t, value, noise)
+    least = _FOLLOWED * t.size if found is None else _misfit(t, value, found, noise)
+    return way if way.misfit < least else None
 
 
 def _misfit(

@@ -50,6 +50,8 @@ _SHOWN: Final = 3.0
 """Rise of the log likelihood from which on a part shows a jerk."""
 _BETWEEN: Final = 0.25
 """Interval between two knots, over one over the bandwidth [rad]."""
+_CALM: Final = 0.75
+"""Part of the interval of a part that shows no jerk, from which on the way is as in one."""
 _MOST_PARTS: Final = 8
 """Knots between two samples, at most, and one."""
 _VAGUE: Final = 10.0
@@ -65,13 +67,17 @@ class Way(NamedTuple):
     t, value : ndarray, shape (k,)
         Knots, between which it is straight [s, m].
     misfit : float
-        Minus twice the log likelihood of the samples, but for a constant.
+        Minus twice the log likelihood of the samples, but for a constant; not finite where the
+        samples tell no way.
+    still : float
+        Interval between knots from which on the speed hardly changes between these [s].
 
     """
 
     t: FloatArray
     value: FloatArray
     misfit: float
+    still: float
 
 
 def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
@@ -98,11 +104,13 @@ def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
 def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
     # A campaign's paths are made several times, for arms that change their speed otherwise.
     t, value = np.frombuffer(samples).copy(), np.frombuffer(heights).copy()
-    interval = float(np.median(np.diff(t)))
+    # Samples that come in bundles tell a moment once.
+    interval = float(np.quantile(np.diff(t), 0.75))
     variance = noise * noise
     vague = _vague(value, interval)
     many = max(_FEWEST, round(_SPAN / interval))
-    bandwidth = np.full(t.size, _STILL / (many * interval))
+    calm = _STILL / (many * interval)
+    bandwidth = np.full(t.size, calm)
     while True:
         # What bends slowly is seen over long only, beside what short parts have shown by then.
         many = min(many, t.size)
@@ -122,7 +130,7 @@ def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
     state, speed = np.empty(t.size), np.empty(t.size)
     misfit = _through(t, value, variance, vague, intensity, state, speed)
     knots, levels = _knots(t, state, speed, bandwidth)
-    return Way(knots, levels, misfit)
+    return Way(knots, levels, misfit, _CALM * _BETWEEN / calm)
 
 
 def _tries(ratio: float) -> int:

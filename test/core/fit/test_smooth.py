@@ -14,6 +14,8 @@
 
 """The smooth way of a tool through the noise of its encoders."""
 
+import math
+
 from hapticvision_ros.core.fit.data import prepare, tool_path
 from hapticvision_ros.core.fit.smooth import _through, _vague, smooth
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
@@ -99,25 +101,48 @@ def test_a_way_that_bends_slowly_is_smoothed_over_long() -> None:
     assert found.t.size < t.size // 10
 
 
-def test_straight_pieces_remain_where_they_follow_the_samples() -> None:
-    t = np.arange(0.0, 20.0, 0.002)
-    path = tool_path(
-        Signal(
-            t,
-            _noisy(t, _rippling(t, 0.0), 5e-6, 1e-6, 3),
-        ),
-        PHASES,
-    )
+@pytest.mark.parametrize(('noise', 'rounded'), [(5e-6, 1e-6), (1e-6, 1e-5), (2e-6, 1e-5)])
+@pytest.mark.parametrize('rate', [250.0, 1000.0])
+def test_straight_pieces_remain_where_they_follow_the_samples(
+    noise: float, rounded: float, rate: float
+) -> None:
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    path = tool_path(Signal(t, _noisy(t, _rippling(t, 0.0), noise, rounded, 3)), PHASES)
     assert path.t.size <= 12
+    assert path.still == math.inf
 
 
-def test_the_steps_of_a_trial_are_sparse_where_a_rippling_tool_rests() -> None:
-    t = np.arange(0.0, 20.0, 0.001)
-    tool = Signal(t, 0.04 - _noisy(t, _rippling(t, 14e-6), 8e-6, 5e-6, 4))
-    force = np.where((t > 1.0) & (t < 13.2), 1000.0 * np.maximum(_rippling(t, 0.0), 0.0), 0.0)
+def test_samples_that_tell_no_way_are_followed_one_by_one() -> None:
+    """Two samples at nearly the same moment, over and over, of a tool that jumps to and fro."""
+    t = np.sort(np.concatenate((np.arange(0.0, 20.0, 0.02), np.arange(0.0, 20.0, 0.02) + 1e-6)))
+    random = np.random.default_rng(6)
+    way = _rippling(t, 0.0) + np.repeat(1e-3 * random.standard_normal(t.size // 2), 2)
+    path = tool_path(Signal(t, way + 1e-6 * random.standard_normal(t.size)), PHASES)
+    assert np.all(np.isfinite(path.displacement))
+    assert np.abs(path.at(t[200:600]) - way[200:600]).max() < 1e-4
+
+
+@pytest.mark.parametrize(('speed', 'rate'), [(1.0, 1000.0), (0.2, 500.0)])
+def test_steps_are_sparse_where_a_rippling_tool_rests_and_dense_where_it_goes(
+    speed: float, rate: float
+) -> None:
+    """A slow push takes longer, before a withdrawal that is as quick."""
+    t = np.arange(0.0, 12.0 + 3.0 / speed, 0.001)
+    true = _rippling(np.where(t < 3.0 / speed, speed * t, t - 3.0 / speed + 3.0), 0.0)
+    moves = np.clip((3.0 / speed - t) / 0.05, 0.0, 1.0)
+    true = true + 14e-6 * moves * np.sin(2.0 * np.pi * 9.0 * t)
+    every = round(1000.0 / rate)
+    tool = Signal(t[::every], 0.04 - _noisy(t[::every], true[::every], 8e-6, 5e-6, 4))
+    times = (1.0 / speed, 3.0 / speed, 10.0 + 3.0 / speed)
+    phases = Segmentation(*times, times[2] + 0.1, float(t[-1]), 0.04, 0.0, speed * 0.003, 0.006)
+    pressed = (t > phases.t_contact) & (t < phases.t_loss)
+    force = np.where(pressed, 1000.0 * np.maximum(true, 0.0), 0.0)
     force += 0.01 * np.random.default_rng(5).standard_normal(t.size)
-    trial = Trial('rippling', 0, Signal(t, force), tool, None, 'none')
-    (made,), _ = prepare([(trial, PHASES)])
+    (made,), _ = prepare([(Trial('rippling', 0, Signal(t, force), tool, None, 'none'), phases)])
     assert made is not None
-    held = np.count_nonzero((made.t > 5.0) & (made.t < 11.0))
+    assert made.path.still < math.inf
+    held = np.count_nonzero((made.t > times[1] + 2.0) & (made.t < times[2] - 2.0))
     assert held < 3000
+    fine = np.arange(times[0] + 0.1, times[1] - 0.1, 1e-3)
+    straight = np.interp(fine, made.t, made.displacement)
+    assert np.std(straight - made.path.at(fine)) < 0.5e-6
