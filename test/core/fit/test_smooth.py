@@ -16,7 +16,7 @@
 
 import math
 
-from hapticvision_ros.core.fit.data import prepare, tool_path
+from hapticvision_ros.core.fit.data import _smooth_way, prepare, tool_path
 from hapticvision_ros.core.fit.smooth import _through, _vague, smooth
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
@@ -112,14 +112,20 @@ def test_straight_pieces_remain_where_they_follow_the_samples(
     assert path.still == math.inf
 
 
-def test_samples_that_tell_no_way_are_followed_one_by_one() -> None:
-    """Two samples at nearly the same moment, over and over, of a tool that jumps to and fro."""
+def test_a_way_that_is_far_off_the_samples_is_none() -> None:
+    """As where the noise is taken for a thousandth of what it is."""
+    t = np.arange(0.0, 20.0, 0.002)
+    value = _noisy(t, _rippling(t, 14e-6), 8e-6, 1e-6, 6)
+    assert _smooth_way(t, value, None, 8e-6) is not None
+    assert _smooth_way(t, value, None, 8e-9) is None
+
+
+def test_samples_that_come_in_bundles_tell_a_way() -> None:
+    """Two at nearly the same moment, over and over."""
     t = np.sort(np.concatenate((np.arange(0.0, 20.0, 0.02), np.arange(0.0, 20.0, 0.02) + 1e-6)))
-    random = np.random.default_rng(6)
-    way = _rippling(t, 0.0) + np.repeat(1e-3 * random.standard_normal(t.size // 2), 2)
-    path = tool_path(Signal(t, way + 1e-6 * random.standard_normal(t.size)), PHASES)
-    assert np.all(np.isfinite(path.displacement))
-    assert np.abs(path.at(t[200:600]) - way[200:600]).max() < 1e-4
+    way = 0.004 * np.sin(0.5 * t)
+    found = smooth(t, _noisy(t, way, 1e-5, 1e-6, 7), 1e-5)
+    assert np.std(np.interp(t, found.t, found.value) - way) < 1e-5
 
 
 @pytest.mark.parametrize(('speed', 'rate'), [(1.0, 1000.0), (0.2, 500.0)])
