@@ -38,11 +38,11 @@ _LOOK_AGAIN: Final = 0.1
 def missing() -> bool:
     """Return whether kernels that each fit calls have changed since they were compiled."""
     # These take longer to import than a node may take to answer.
-    from hapticvision_ros.core.fit import bend, campaign, data, noise_model, smooth, start
+    from hapticvision_ros.core.fit import bend, campaign, data, noise_model, ripple, smooth, start
     from hapticvision_ros.core.kernels import kept
     from hapticvision_ros.core.models import chain
 
-    modules = (bend, campaign, chain, data, noise_model, smooth, start)
+    modules = (bend, campaign, chain, data, noise_model, ripple, smooth, start)
     return not all(kept(module) for module in modules)
 
 
@@ -88,7 +88,7 @@ def main() -> int:
 
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.fit.campaign import fit
-    from hapticvision_ros.core.fit.smooth import smooth
+    from hapticvision_ros.core.fit.way import smooth
     from hapticvision_ros.core.pipeline import analyse
     from hapticvision_ros.core.records import Signal, Trial
     import numpy as np

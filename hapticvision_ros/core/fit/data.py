@@ -50,7 +50,7 @@ from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.simplex import minimum
-from hapticvision_ros.core.fit.smooth import smooth, Way
+from hapticvision_ros.core.fit.way import smooth, Way
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs

@@ -13,12 +13,10 @@
 # limitations under the License.
 
 """
-The way of a tool that goes neither straight nor by a known shape, from encoders with noise.
+Samples of a tool's place, as smooth as each part of them allows.
 
-Gears ripple, and a tool may be led along a curve. A path through the samples then makes force of
-their noise, and so does one of straight pieces of their corners. Between them is the smoothest way
-that the samples allow: its jerk is white noise, whose size each part of the record tells by its
-likelihood. A tool at rest is smoothed over long, and one that stops only as far as it may.
+The jerk is white noise, whose size each part of the record tells by its likelihood. A tool at rest
+is smoothed over long, and one that stops only as far as it may.
 
 References
 ----------
@@ -29,7 +27,6 @@ smoothed random walks).
 
 """
 
-from functools import lru_cache
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.kernels import kernel
@@ -48,41 +45,48 @@ _LONGER: Final = 4
 """Ratio of the lengths of parts that are looked at in turn."""
 _SHOWN: Final = 3.0
 """Rise of the log likelihood from which on a part shows a jerk."""
-_BETWEEN: Final = 0.25
-"""Interval between two knots, over one over the bandwidth [rad]."""
-_CALM: Final = 0.75
-"""Part of the interval of a part that shows no jerk, from which on the way is as in one."""
-_MOST_PARTS: Final = 8
-"""Knots between two samples, at most, and one."""
 _VAGUE: Final = 10.0
 """What is known before the first sample, over what the record spans."""
 
 
-class Way(NamedTuple):
+class Smoothed(NamedTuple):
     """
-    A smooth way.
+    Samples, smoothed.
 
     Parameters
     ----------
-    t, value : ndarray, shape (k,)
-        Knots, between which it is straight [s, m].
+    state, speed : ndarray, shape (n,)
+        Place and speed at the samples [m, m/s].
+    bandwidth : ndarray, shape (n,)
+        Up to where the place is followed there [rad/s].
     misfit : float
-        Minus twice the log likelihood of the samples, but for a constant; not finite where the
-        samples tell no way.
-    still : float
-        Interval between knots from which on the speed hardly changes between these [s].
+        Minus twice the log likelihood of the samples, but for a constant.
 
     """
 
-    t: FloatArray
-    value: FloatArray
+    state: FloatArray
+    speed: FloatArray
+    bandwidth: FloatArray
     misfit: float
-    still: float
 
 
-def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
+def usual_interval(t: FloatArray) -> float:
+    """Return the interval between two samples, of which some may come in bundles [s]."""
+    return float(np.quantile(np.diff(t), 0.75))
+
+
+def calm(interval: float) -> float:
+    """Return the bandwidth of a short part that shows no jerk [rad/s]."""
+    return _STILL / (_part(interval) * interval)
+
+
+def _part(interval: float) -> int:
+    return max(_FEWEST, round(_SPAN / interval))
+
+
+def adapted(t: FloatArray, value: FloatArray, noise: float) -> Smoothed:
     """
-    Return the smoothest way that samples with noise allow.
+    Smooth samples as far as each part of them allows.
 
     Parameters
     ----------
@@ -93,24 +97,15 @@ def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
 
     Returns
     -------
-    Way
-        It, from the first sample to the last.
+    Smoothed
+        They, smoothed.
 
     """
-    return _smooth(t.tobytes(), value.tobytes(), noise)
-
-
-@lru_cache(maxsize=64)
-def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
-    # A campaign's paths are made several times, for arms that change their speed otherwise.
-    t, value = np.frombuffer(samples).copy(), np.frombuffer(heights).copy()
-    # Samples that come in bundles tell a moment once.
-    interval = float(np.quantile(np.diff(t), 0.75))
-    variance = noise * noise
-    vague = _vague(value, interval)
-    many = max(_FEWEST, round(_SPAN / interval))
-    calm = _STILL / (many * interval)
-    bandwidth = np.full(t.size, calm)
+    interval = usual_interval(t)
+    vague = vaguely(value, interval)
+    unit = noise * noise * interval
+    many = _part(interval)
+    bandwidth = np.full(t.size, calm(interval))
     while True:
         # What bends slowly is seen over long only, beside what short parts have shown by then.
         many = min(many, t.size)
@@ -119,29 +114,34 @@ def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
         widths = np.geomspace(still, 1.0 / interval, _tries(still * interval))
         for first in range(0, max(t.size - many // 2, 1), max(many // 2, 1)):
             part = slice(first, min(first + many, t.size))
-            unit = variance * interval
-            best = _widest(t[part], value[part], variance, vague, unit, least[part], widths)
+            best = _widest(t[part], value[part], noise**2, vague, unit, least[part], widths)
             if best > 0:
                 bandwidth[part] = np.maximum(bandwidth[part], widths[best])
         if many == t.size:
             break
         many *= _LONGER
-    intensity = variance * interval * np.minimum(bandwidth[1:], bandwidth[:-1]) ** 6
+    return smoothed(t, value, noise, bandwidth)
+
+
+def smoothed(t: FloatArray, value: FloatArray, noise: float, bandwidth: FloatArray) -> Smoothed:
+    """Smooth samples of some noise [m] up to a bandwidth at each [rad/s], shapes (n,)."""
+    interval = usual_interval(t)
+    intensity = noise**2 * interval * np.minimum(bandwidth[1:], bandwidth[:-1]) ** 6
     state, speed = np.empty(t.size), np.empty(t.size)
-    misfit = _through(t, value, variance, vague, intensity, state, speed)
-    knots, levels = _knots(t, state, speed, bandwidth)
-    return Way(knots, levels, misfit, _CALM * _BETWEEN / calm)
+    vague = vaguely(value, interval)
+    misfit = _through(t, value, noise**2, vague, intensity, state, speed)
+    return Smoothed(state, speed, bandwidth, misfit)
+
+
+def vaguely(value: FloatArray, interval: float) -> FloatArray:
+    """Return the variances of place, speed and acceleration before the first sample."""
+    spans = _VAGUE * float(np.ptp(value))
+    return np.array([spans, spans / (8.0 * interval), spans / (8.0 * interval) ** 2]) ** 2
 
 
 def _tries(ratio: float) -> int:
     """Return how many bandwidths there are from the least, over the most, on."""
     return max(2, int(np.ceil(-np.log(ratio) / np.log(_STEP))))
-
-
-def _vague(value: FloatArray, interval: float) -> FloatArray:
-    """Return the variances of place, speed and acceleration before the first sample."""
-    spans = _VAGUE * float(np.ptp(value))
-    return np.array([spans, spans / (8.0 * interval), spans / (8.0 * interval) ** 2]) ** 2
 
 
 def _widest(
@@ -160,31 +160,8 @@ def _widest(
     return best if misfits[best] < misfits[0] - 2.0 * _SHOWN else 0
 
 
-def _knots(
-    t: FloatArray, state: FloatArray, speed: FloatArray, bandwidth: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return knots as dense as the bandwidth asks for, on a cubic between the samples."""
-    steps = np.diff(t)
-    wide = np.maximum(bandwidth[1:], bandwidth[:-1])
-    parts = np.clip(np.ceil(steps * wide / _BETWEEN), 1, _MOST_PARTS).astype(np.intp)
-    number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
-    share = number / np.repeat(parts, parts)
-    place = np.repeat(np.arange(steps.size), parts)
-    step = steps[place]
-    rest = 1.0 - share
-    level = rest * rest * (1.0 + 2.0 * share) * state[place]
-    level += share * share * (3.0 - 2.0 * share) * state[place + 1]
-    level += share * rest * step * (rest * speed[place] - share * speed[place + 1])
-    knots = t[place] + share * step
-    # Fewer where the way bends little: one wherever that many turns of the bandwidth have passed.
-    turns = np.concatenate(([0.0], np.cumsum(steps * wide)))
-    passed = np.floor(np.interp(knots, t, turns) / _BETWEEN)
-    kept = np.concatenate(([True], np.diff(passed) > 0.0))
-    return np.append(knots[kept], t[-1]), np.append(level[kept], state[-1])
-
-
 @kernel(error_model='numpy')
-def _forth(h, q, m, p):  # type: ignore[no-untyped-def]
+def forth(h, q, m, p):  # type: ignore[no-untyped-def]
     """Take mean and covariance (xx, xv, xa, vv, va, aa) over a step with a white jerk."""
     h2 = h * h
     h3 = h2 * h
@@ -231,7 +208,7 @@ def _try(t, value, variance, vague, unit, least, widths, misfits):  # type: igno
         total = _taken(value[0], variance, m, p)
         for i in range(1, t.size):
             width = max(min(least[i], least[i - 1]), widths[j])
-            _forth(t[i] - t[i - 1], unit * width**6, m, p)
+            forth(t[i] - t[i - 1], unit * width**6, m, p)
             total += _taken(value[i], variance, m, p)
         misfits[j] = total
 
@@ -252,7 +229,7 @@ def _through(  # type: ignore[no-untyped-def]
     means[0] = m
     covariances[0] = p
     for i in range(1, n):
-        _forth(t[i] - t[i - 1], intensity[i - 1], m, p)
+        forth(t[i] - t[i - 1], intensity[i - 1], m, p)
         total += _taken(value[i], variance, m, p)
         means[i] = m
         covariances[i] = p
@@ -265,7 +242,7 @@ def _through(  # type: ignore[no-untyped-def]
         m[:] = means[i]
         p[:] = covariances[i]
         h = t[i + 1] - t[i]
-        _forth(h, intensity[i], m, p)
+        forth(h, intensity[i], m, p)
         s = p[0] + variance
         x -= (p[0] * x + p[1] * v + p[2] * a + value[i + 1] - m[0]) / s
         a += h * v + 0.5 * h * h * x

@@ -1,0 +1,300 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What repeats along the way of a tool: ripples of gears, and vibrations while an arm moves.
+
+Between two samples of encoders nothing tells it from a way that bends so, but all its periods
+together tell its rate and its size far better than noise lets each be seen. It may repeat in time,
+then only while the tool moves, or in the place of the tool, as the teeth of its gears do.
+
+References
+----------
+E. J. Hannan, J. Appl. Probab. 10, 1973, 510-519, doi:10.2307/3212772 (rate of a sine in noise).
+
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+import math
+from typing import Final, NamedTuple
+
+from hapticvision_ros.core.fit.smooth import (
+    calm,
+    forth,
+    Smoothed,
+    smoothed,
+    usual_interval,
+    vaguely,
+)
+from hapticvision_ros.core.kernels import kernel
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+_STEADY: Final = 0.25
+"""Bandwidth of the way without a ripple, over that which follows it."""
+_TREND: Final = 0.1
+"""Bandwidth of what is taken for no ripple, over that which follows it."""
+_RATES: Final = (0.2, 1.5)
+"""Least and greatest rate of a ripple, over the bandwidth which follows it."""
+_FASTEST: Final = 0.8
+"""Greatest rate, over the highest that samples tell."""
+_MOVES: Final = 0.05
+"""Speed from which on a tool moves, over its greatest, and over its usual one."""
+_EVEN: Final = 0.8
+"""Speed from which on it goes evenly, over that at which it moves."""
+_FULL: Final = 0.3
+"""Speed from which on it ripples in full, over that at which it moves."""
+_PERIODS: Final = 3.0
+"""Periods that a move has at least."""
+_PADDED: Final = 4
+"""Length of a transform, over that of the longest move."""
+_FINER: Final = 8
+"""Rates to either side that are tried in turn, and how much closer they are in the next."""
+_TURNS: Final = 2
+
+
+class Ripple(NamedTuple):
+    """
+    What repeats along a way.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Moments at which it is known, and between which it is interpolated [s].
+    phase : ndarray, shape (n,)
+        Its phase [rad].
+    cosine, sine : ndarray, shape (n,)
+        Its amplitudes there [m].
+    price : float
+        Fall of minus twice the log likelihood from which on it is there.
+    promise : float
+        That fall, less the price, where the tool goes evenly and nothing else bends its way.
+
+    """
+
+    t: FloatArray
+    phase: FloatArray
+    cosine: FloatArray
+    sine: FloatArray
+    price: float
+    promise: float
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return it at some moments [m], shape (k,)."""
+        phase = np.interp(t, self.t, self.phase)
+        return np.asarray(
+            np.interp(t, self.t, self.cosine) * np.cos(phase)
+            + np.interp(t, self.t, self.sine) * np.sin(phase)
+        )
+
+    @property
+    def rate(self) -> FloatArray:
+        """Return its rate between the moments, zero where there is none [rad/s]."""
+        there = np.hypot(self.cosine, self.sine)
+        rate = np.abs(np.diff(self.phase)) / np.diff(self.t)
+        return np.where(there[1:] + there[:-1] > 0.0, rate, 0.0)
+
+
+class _Move(NamedTuple):
+    """A stretch in which the tool goes one way, and where its ripple is how full, shape (n,)."""
+
+    run: slice
+    full: FloatArray
+
+
+def candidates(
+    t: FloatArray, value: FloatArray, noise: float, found: Smoothed
+) -> tuple[Ripple, ...]:
+    """
+    Return the strongest ripple in time and the strongest in place.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        The samples, without ripples that are known [s, m].
+    noise : float
+        Standard deviation of each [m].
+    found : Smoothed
+        They, smoothed as far as they allow.
+
+    Returns
+    -------
+    tuple of Ripple
+        Empty where the samples show no part that bends, or the tool does not move for long.
+
+    """
+    bent = found.bandwidth > 1.01 * calm(usual_interval(t))
+    if not bent.any():
+        return ()
+    bandwidth = float(np.median(found.bandwidth[bent]))
+    steady = smoothed(t, value, noise, np.full(t.size, _STEADY * bandwidth))
+    highest = min(_RATES[1] * bandwidth, _FASTEST * math.pi / usual_interval(t))
+    lowest = _RATES[0] * bandwidth
+    shortest = _PERIODS * 2.0 * math.pi / highest
+    moves = [move for move in _moves(steady.speed) if np.ptp(t[move.run]) > shortest]
+    if not moves or highest <= lowest:
+        return ()
+    rows = [_innovations(t[m.run], value[m.run], noise, _TREND * bandwidth) for m in moves]
+    speed = float(np.median(np.abs(np.concatenate([steady.speed[m.run] for m in moves]))))
+    ripples = []
+    for along, unit in ((t, 1.0), (steady.state, 1.0 / speed)):
+        in_time = along is t
+        search = _Search(along, moves, rows, in_time)
+        rate = search.rate(lowest * unit, highest * unit)
+        if rate is None:
+            continue
+        pairs, gain = search.amplitudes(rate)
+        full = np.array([move.full for move in moves]) if in_time else np.ones((1, t.size))
+        cosine, sine = pairs.T @ full
+        price = (2 * len(pairs) + 3) * math.log(t.size)
+        ripples.append(Ripple(t, rate * along, cosine, sine, price, gain - price))
+    return tuple(ripples)
+
+
+def _moves(speed: FloatArray) -> list[_Move]:
+    """Return the moves of a tool."""
+    size = np.abs(speed)
+    way = np.where(size > _MOVES * float(size.max()), np.sign(speed), 0.0)
+    edges = np.flatnonzero(np.diff(way)) + 1
+    runs = [
+        slice(int(first), int(last))
+        for first, last in zip((0, *edges), (*edges, way.size), strict=True)
+        if way[first] != 0.0
+    ]
+    # What a tool does in between belongs to the nearest.
+    middles = [(a.stop + b.start) // 2 for a, b in pairwise(runs)]
+    moves = []
+    for run, first, last in zip(runs, (0, *middles), (*middles, way.size), strict=True):
+        full = np.zeros(way.size)
+        usual = float(np.median(size[run]))
+        near = size[first:last]
+        full[first:last] = np.where(
+            near > _MOVES * usual, np.minimum(near / (_FULL * usual), 1.0), 0.0
+        )
+        even = run.start + np.flatnonzero(size[run] > _EVEN * usual)
+        moves.append(_Move(slice(int(even[0]), int(even[-1]) + 1), full))
+    return moves
+
+
+class _Innovations(NamedTuple):
+    """A filter that takes a trend away, and what it leaves of samples, over the noise."""
+
+    t: FloatArray
+    gains: FloatArray
+    left: FloatArray
+
+
+def _innovations(t: FloatArray, value: FloatArray, noise: float, bandwidth: float) -> _Innovations:
+    """Return it for the samples of a move."""
+    interval = usual_interval(t)
+    gains = np.empty((t.size, 4))
+    intensity = noise**2 * interval * bandwidth**6
+    _gains(t, noise**2, vaguely(value, interval), intensity, gains)
+    left = np.empty(t.size)
+    _filtered(t, gains, value - value[0], left)
+    return _Innovations(t, gains, left)
+
+
+class _Search(NamedTuple):
+    """Where it is looked for along what a ripple repeats: shape (n,), moves of (k,)."""
+
+    along: FloatArray
+    moves: Sequence[_Move]
+    rows: Sequence[_Innovations]
+    apart: bool
+
+    def rate(self, lowest: float, highest: float) -> float | None:
+        """Return the rate of the strongest, or None where no move is long enough."""
+        spans = np.array([np.ptp(self.along[move.run]) for move in self.moves])
+        counts = np.array([self.along[move.run].size for move in self.moves])
+        step, longest = float(np.min(spans / (counts - 1))), float(spans.max())
+        size = _PADDED * (int(longest / step) + 1)
+        power = np.zeros(size // 2 + 1)
+        for move, row in zip(self.moves, self.rows, strict=True):
+            place = self.along[move.run]
+            order = np.argsort(place, kind='stable')
+            even = np.arange(float(place.min()), float(place.max()), step)
+            left = np.interp(even, place[order], row.left[order]) * np.hanning(even.size)
+            power += np.abs(np.fft.rfft(left, size)) ** 2
+        rates = 2.0 * math.pi * np.arange(power.size) / (size * step)
+        power[(rates < max(lowest, 2.0 * math.pi * _PERIODS / longest)) | (rates > highest)] = 0.0
+        if not power.any():
+            return None
+        rate, width = float(rates[np.argmax(power)]), 2.0 * math.pi / longest
+        for _ in range(_TURNS):
+            tried = rate + width * np.linspace(-1.0, 1.0, 2 * _FINER + 1)
+            rate = float(max(tried, key=self.gain))
+            width /= _FINER
+        return rate
+
+    def products(self, rate: float) -> FloatArray:
+        """Return the products of cosine, sine and samples of each move, shape (k, 3, 3)."""
+        products = np.empty((len(self.moves), 3, 3))
+        for place, (move, row) in enumerate(zip(self.moves, self.rows, strict=True)):
+            phase = rate * self.along[move.run]
+            full = move.full[move.run] if self.apart else 1.0
+            rows = np.empty((3, phase.size))
+            _filtered(row.t, row.gains, full * np.cos(phase), rows[0])
+            _filtered(row.t, row.gains, full * np.sin(phase), rows[1])
+            rows[2] = row.left
+            products[place] = rows @ rows.T
+        return products if self.apart else products.sum(axis=0, keepdims=True)
+
+    def amplitudes(self, rate: float) -> tuple[FloatArray, float]:
+        """Return the amplitudes in each move, or in all, (k, 2) [m], and the fall of squares."""
+        products = self.products(rate)
+        pairs = np.array([np.linalg.lstsq(p[:2, :2], p[:2, 2])[0] for p in products])
+        return pairs, float(np.sum(pairs * products[:, :2, 2]))
+
+    def gain(self, rate: float) -> float:
+        """Return the fall of the squares, over the noise."""
+        return self.amplitudes(rate)[1]
+
+
+@kernel(error_model='numpy')
+def _gains(t, variance, vague, intensity, gains):  # type: ignore[no-untyped-def]
+    """Set, for each sample, how much of what is new goes into the state, and one over its size."""
+    m = np.zeros(3)
+    p = np.zeros(6)
+    p[0], p[3], p[5] = vague[0], vague[1], vague[2]
+    for i in range(t.size):
+        if i > 0:
+            forth(t[i] - t[i - 1], intensity, m, p)
+        s = p[0] + variance
+        x, v, a = p[0] / s, p[1] / s, p[2] / s
+        gains[i, 0], gains[i, 1], gains[i, 2] = x, v, a
+        gains[i, 3] = 1.0 / np.sqrt(s)
+        p[5] -= a * p[2]
+        p[4] -= a * p[1]
+        p[3] -= v * p[1]
+        p[2] = p[2] * variance / s
+        p[1] = p[1] * variance / s
+        p[0] = p[0] * variance / s
+
+
+@kernel(error_model='numpy')
+def _filtered(t, gains, value, left):  # type: ignore[no-untyped-def]
+    """Set what is new in each sample, over its standard deviation."""
+    x = v = a = 0.0
+    for i in range(t.size):
+        if i > 0:
+            h = t[i] - t[i - 1]
+            x += h * v + 0.5 * h * h * a
+            v += h * a
+        new = value[i] - x
+        left[i] = new * gains[i, 3]
+        x += gains[i, 0] * new
+        v += gains[i, 1] * new
+        a += gains[i, 2] * new

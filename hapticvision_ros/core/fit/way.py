@@ -1,0 +1,144 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The way of a tool that goes neither straight nor by a known shape, from encoders with noise.
+
+Gears ripple, and a tool may be led along a curve. A path through the samples then makes force of
+their noise, and so does one of straight pieces of their corners. Between them is the smoothest way
+that the samples allow, beside ripples that repeat: these are told by all their periods together.
+
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+from hapticvision_ros.core.fit.ripple import candidates, Ripple
+from hapticvision_ros.core.fit.smooth import adapted, calm, Smoothed, usual_interval
+from hapticvision_ros.core.records import FloatArray
+import numpy as np
+
+_BETWEEN: Final = 0.25
+"""Interval between two knots, over one over the bandwidth [rad]."""
+_CALM: Final = 0.75
+"""Part of the interval of a part that shows no jerk, from which on the way is as in one."""
+_MOST_PARTS: Final = 8
+"""Knots between two samples, at most, and one."""
+_FINE: Final = 2.0
+"""Bandwidth for which knots are as dense as those along a ripple, over its rate."""
+_CLOSE: Final = 20.0
+"""Fall of minus twice the log likelihood that leaves open which of two ripples it is."""
+_MOST_RIPPLES: Final = 3
+"""Ripples of one record, at most."""
+
+
+class Way(NamedTuple):
+    """
+    A smooth way.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (k,)
+        Knots, between which it is straight [s, m].
+    misfit : float
+        Minus twice the log likelihood of the samples, but for a constant; not finite where the
+        samples tell no way.
+    still : float
+        Interval between knots from which on the speed hardly changes between these [s].
+
+    """
+
+    t: FloatArray
+    value: FloatArray
+    misfit: float
+    still: float
+
+
+def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
+    """
+    Return the smoothest way that samples with noise allow.
+
+    Parameters
+    ----------
+    t, value : ndarray, shape (n,)
+        The samples [s, m].
+    noise : float
+        Standard deviation of each [m].
+
+    Returns
+    -------
+    Way
+        It, from the first sample to the last.
+
+    """
+    return _smooth(t.tobytes(), value.tobytes(), noise)
+
+
+@lru_cache(maxsize=64)
+def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
+    # A campaign's paths are made several times, for arms that change their speed otherwise.
+    t, value = np.frombuffer(samples).copy(), np.frombuffer(heights).copy()
+    found = adapted(t, value, noise)
+    ripples: list[Ripple] = []
+    left = value
+    while len(ripples) < _MOST_RIPPLES:
+        tried = candidates(t, left, noise, found)
+        most = max((ripple.promise for ripple in tried), default=0.0)
+        # To smooth all samples anew takes longest.
+        ways = [
+            (adapted(t, left - ripple.at(t), noise), ripple)
+            for ripple in tried
+            if ripple.promise > max(0.0, most - _CLOSE)
+        ]
+        cleaned, ripple = min(ways, key=_cost, default=(found, None))
+        if ripple is None or _cost((cleaned, ripple)) >= found.misfit:
+            break
+        found, left = cleaned, left - ripple.at(t)
+        ripples.append(ripple)
+    knots, levels = _knots(t, found, ripples)
+    for ripple in ripples:
+        levels += ripple.at(knots)
+    still = _CALM * _BETWEEN / calm(usual_interval(t))
+    return Way(knots, levels, found.misfit, still)
+
+
+def _cost(way: tuple[Smoothed, Ripple]) -> float:
+    return way[0].misfit + way[1].price
+
+
+def _knots(
+    t: FloatArray, found: Smoothed, ripples: Sequence[Ripple]
+) -> tuple[FloatArray, FloatArray]:
+    """Return knots as dense as the bandwidths ask for, on a cubic between the samples."""
+    state, speed, bandwidth, _ = found
+    steps = np.diff(t)
+    wide = np.maximum(bandwidth[1:], bandwidth[:-1])
+    for ripple in ripples:
+        wide = np.maximum(wide, _FINE * ripple.rate)
+    parts = np.clip(np.ceil(steps * wide / _BETWEEN), 1, _MOST_PARTS).astype(np.intp)
+    number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
+    share = number / np.repeat(parts, parts)
+    place = np.repeat(np.arange(steps.size), parts)
+    step = steps[place]
+    rest = 1.0 - share
+    level = rest * rest * (1.0 + 2.0 * share) * state[place]
+    level += share * share * (3.0 - 2.0 * share) * state[place + 1]
+    level += share * rest * step * (rest * speed[place] - share * speed[place + 1])
+    knots = t[place] + share * step
+    # Fewer where the way bends little: one wherever that many turns of the bandwidth have passed.
+    turns = np.concatenate(([0.0], np.cumsum(steps * wide)))
+    passed = np.floor(np.interp(knots, t, turns) / _BETWEEN)
+    kept = np.concatenate(([True], np.diff(passed) > 0.0))
+    return np.append(knots[kept], t[-1]), np.append(level[kept], state[-1])
