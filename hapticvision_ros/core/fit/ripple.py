@@ -54,10 +54,14 @@ _MOVES: Final = 0.05
 """Speed from which on a tool moves, over its greatest, and over its usual one."""
 _EVEN: Final = 0.8
 """Speed from which on it goes evenly, over that at which it moves."""
+_SETTLES: Final = 2
+"""Time that it then takes to be at that speed, over that which it has taken."""
+_FEWEST: Final = 16
+"""Samples of a move, at least."""
 _FULL: Final = 0.3
 """Speed from which on it ripples in full, over that at which it moves."""
-_PERIODS: Final = 3.0
-"""Periods that a move has at least."""
+_PERIODS: Final = 5.0
+"""Periods that the longest move has at least, and one whose own ripple is told."""
 _PADDED: Final = 4
 """Length of a transform, over that of the longest move."""
 _FINER: Final = 8
@@ -118,7 +122,7 @@ def candidates(
     t: FloatArray, value: FloatArray, noise: float, found: Smoothed
 ) -> tuple[Ripple, ...]:
     """
-    Return the strongest ripple in time and the strongest in place.
+    Return the strongest ripples: in time, in each move or through all moves, and in place.
 
     Parameters
     ----------
@@ -142,24 +146,29 @@ def candidates(
     steady = smoothed(t, value, noise, np.full(t.size, _STEADY * bandwidth))
     highest = min(_RATES[1] * bandwidth, _FASTEST * math.pi / usual_interval(t))
     lowest = _RATES[0] * bandwidth
-    shortest = _PERIODS * 2.0 * math.pi / highest
-    moves = [move for move in _moves(steady.speed) if np.ptp(t[move.run]) > shortest]
+    moves = _moves(steady.speed)
     if not moves or highest <= lowest:
         return ()
     rows = [_innovations(t[m.run], value[m.run], noise, _TREND * bandwidth) for m in moves]
     speed = float(np.median(np.abs(np.concatenate([steady.speed[m.run] for m in moves]))))
+    gates = np.array([move.full for move in moves])
+    everywhere = np.ones((len(moves), t.size))
+    searches = [
+        (_Search(t, moves, rows, gates, True), 1.0),
+        (_Search(t, moves, rows, gates, False), 1.0),
+        (_Search(steady.state, moves, rows, everywhere, False), 1.0 / speed),
+    ]
     ripples = []
-    for along, unit in ((t, 1.0), (steady.state, 1.0 / speed)):
-        in_time = along is t
-        search = _Search(along, moves, rows, in_time)
+    # In one move alone the phase tells nothing of the next.
+    for search, unit in searches if len(moves) > 1 else searches[::2]:
         rate = search.rate(lowest * unit, highest * unit)
         if rate is None:
             continue
         pairs, gain = search.amplitudes(rate)
-        full = np.array([move.full for move in moves]) if in_time else np.ones((1, t.size))
+        full = search.full if search.apart else search.full.max(axis=0, keepdims=True)
         cosine, sine = pairs.T @ full
-        price = (2 * len(pairs) + 3) * math.log(t.size)
-        ripples.append(Ripple(t, rate * along, cosine, sine, price, gain - price))
+        price = (2 * np.count_nonzero(pairs.any(axis=1)) + 3) * math.log(t.size)
+        ripples.append(Ripple(t, rate * search.along, cosine, sine, price, gain - price))
     return tuple(ripples)
 
 
@@ -183,8 +192,12 @@ def _moves(speed: FloatArray) -> list[_Move]:
         full[first:last] = np.where(
             near > _MOVES * usual, np.minimum(near / (_FULL * usual), 1.0), 0.0
         )
-        even = run.start + np.flatnonzero(size[run] > _EVEN * usual)
-        moves.append(_Move(slice(int(even[0]), int(even[-1]) + 1), full))
+        even = np.flatnonzero(size[run] > _EVEN * usual)
+        # It comes near its speed slowly, and leaves it at once.
+        begin = run.start + (1 + _SETTLES) * int(even[0])
+        end = 2 * (run.start + int(even[-1]) + 1) - run.stop
+        if end - begin > _FEWEST:
+            moves.append(_Move(slice(begin, end), full))
     return moves
 
 
@@ -208,11 +221,12 @@ def _innovations(t: FloatArray, value: FloatArray, noise: float, bandwidth: floa
 
 
 class _Search(NamedTuple):
-    """Where it is looked for along what a ripple repeats: shape (n,), moves of (k,)."""
+    """Along what a ripple repeats, (n,); how full it is, (k, n); and if each move has its own."""
 
     along: FloatArray
     moves: Sequence[_Move]
     rows: Sequence[_Innovations]
+    full: FloatArray
     apart: bool
 
     def rate(self, lowest: float, highest: float) -> float | None:
@@ -244,7 +258,11 @@ class _Search(NamedTuple):
         products = np.empty((len(self.moves), 3, 3))
         for place, (move, row) in enumerate(zip(self.moves, self.rows, strict=True)):
             phase = rate * self.along[move.run]
-            full = move.full[move.run] if self.apart else 1.0
+            if np.ptp(phase) < 2.0 * math.pi * _PERIODS:
+                # What it is there cannot be told.
+                products[place] = 0.0
+                continue
+            full = self.full[place, move.run]
             rows = np.empty((3, phase.size))
             _filtered(row.t, row.gains, full * np.cos(phase), rows[0])
             _filtered(row.t, row.gains, full * np.sin(phase), rows[1])

@@ -38,8 +38,8 @@ _MOST_PARTS: Final = 8
 """Knots between two samples, at most, and one."""
 _FINE: Final = 2.0
 """Bandwidth for which knots are as dense as those along a ripple, over its rate."""
-_CLOSE: Final = 20.0
-"""Fall of minus twice the log likelihood that leaves open which of two ripples it is."""
+_CLOSE: Final = 0.5
+"""Promise of a ripple that may be the better one, over the greatest."""
 _MOST_RIPPLES: Final = 3
 """Ripples of one record, at most."""
 
@@ -100,7 +100,7 @@ def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
         ways = [
             (adapted(t, left - ripple.at(t), noise), ripple)
             for ripple in tried
-            if ripple.promise > max(0.0, most - _CLOSE)
+            if ripple.promise > max(0.0, _CLOSE * most)
         ]
         cleaned, ripple = min(ways, key=_cost, default=(found, None))
         if ripple is None or _cost((cleaned, ripple)) >= found.misfit:
