@@ -572,7 +572,8 @@ class Servo:
     duration : float
         How long the acceleration lasts [s], or where `even` how long for a change of 1 m/s.
     jerk : float
-        How long the acceleration takes to come, over how long it lasts where not `even`, else [s].
+        How long the acceleration takes to come [s]; over how long it lasts where this is not
+        `even`, or all of it is drawn out.
     lag : float
         How late the arm is [s].
     even : bool
@@ -593,6 +594,9 @@ class Servo:
         Whether it makes a turn as a stop and a start, one right after the other.
     wait : float
         How long it rests between the two [s].
+    drawn_out : bool
+        Whether a larger change of an `even` acceleration is the same over a longer time, and not
+        limited in its jerk.
 
     """
 
@@ -607,6 +611,7 @@ class Servo:
     scaled: bool = False
     parted: bool = False
     wait: float = 0.0
+    drawn_out: bool = False
 
     def of(self, corner: Corner) -> 'Servo | None':
         """Return what makes a change of speed; None where it is not one of those made alike."""
@@ -630,7 +635,7 @@ class Servo:
 
         """
         scale = self.lasts
-        soft = min(max(self.jerk + jerk * (scale if self.even else 1.0), 0.0), self._softest)
+        soft = min(max(self.jerk + jerk * self._softest, 0.0), self._softest)
         lasts, wait = self.duration * math.exp(duration), self.wait
         if self._may_wait:
             # An arm that stops at once may as well do so over a while.
@@ -654,13 +659,13 @@ class Servo:
         """Return which way each goes from a limit that is nearer than a change: 1 or -1, or 0."""
         scale = self.lasts
         short = self._may_wait and self.duration < duration * BRISK * self.wait
-        jerk *= scale if self.even else 1.0
+        jerk *= self._softest
         soft = 1.0 if self.jerk < jerk else -1.0 if self.jerk > self._softest - jerk else 0.0
         return 1.0 if short else 0.0, 1.0 if self.lag < lag * scale else 0.0, soft
 
     @property
     def _softest(self) -> float:
-        return self.lasts if self.even else 1.0
+        return self.lasts if self.even and not self.drawn_out else 1.0
 
     def at(self, corner: Corner) -> Shape:
         """Return how the change of speed of a corner goes."""
@@ -678,6 +683,8 @@ class Servo:
         if not self.even:
             return Shape(self.duration, self.jerk * self.duration, self.lag, self.swing)
         duration = max(self.duration * abs(turn), 1e-9)
+        if self.drawn_out:
+            return Shape(duration, self.jerk * duration, self.lag, self.swing)
         return Shape(max(duration, self.jerk), min(duration, self.jerk), self.lag, self.swing)
 
 
@@ -764,6 +771,7 @@ class _Kind(NamedTuple):
     scaled: bool = False
     parted: bool = False
     waits: bool = False
+    drawn_out: bool = False
 
 
 def _servo(x: FloatArray, kind: _Kind) -> Servo:
@@ -790,13 +798,14 @@ def _servo(x: FloatArray, kind: _Kind) -> Servo:
     jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
     return Servo(
         kind.usual * math.exp(float(x[0])),
-        jerk * kind.scale if kind.even else jerk,
+        jerk * kind.scale if kind.even and not kind.drawn_out else jerk,
         lag * kind.scale,
         kind.even,
         kind.scale,
         swing=min(max(float(x[3]), 0.0), WILDEST) if x.size > 3 else 0.0,
         scaled=kind.scaled,
         parted=kind.parted,
+        drawn_out=kind.drawn_out,
     )
 
 
@@ -945,6 +954,8 @@ def _alike(
     found: list[tuple[float, float, FloatArray, _Kind]] = []
     shares = np.array([corner.share for corner in corners])
     kinds = [('even', turns, False), ('alike', np.ones(turns.size), False)]
+    if np.ptp(turns) > _LIKE * float(turns.max()):
+        kinds.append(('drawn out', turns, False))
     if np.ptp(shares) > _LIKE:
         kinds.append(('scaled', shares, False))
     turning = np.array([corner.part > 0.0 for corner in corners])
@@ -960,9 +971,12 @@ def _alike(
         scale = usual * float(np.median(sizes))
         if usual <= 0.0:
             continue
-        kind = _Kind(name == 'even', usual, scale, name == 'scaled', parted)
+        drawn = name == 'drawn out'
+        kind = _Kind(name == 'even' or drawn, usual, scale, name == 'scaled', parted, False, drawn)
         cost = partial(_left, each, kind, longest)
-        starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in (1, 2, 3)]
+        # With less than three numbers it is as where the jerk is limited.
+        sizes_of_starts = (3,) if drawn else (1, 2, 3)
+        starts = [np.array([0.0, lag / scale, 0.5])[:size] for size in sizes_of_starts]
         swinging = _swinging(shapes, turns, usual, sizes)
         if clean:
             for start in (np.array([0.0, lag / scale, soft]), *swinging):
@@ -986,15 +1000,33 @@ def _alike(
             found.append(waits)
     if not found:
         return alone, None
-    worst, left, best, kind = min(found, key=lambda one: one[0])
+    best: dict[_Kind, tuple[float, float, FloatArray]] = {}
+    for worst, left, x, kind in found:
+        if kind not in best or worst < best[kind][0]:
+            best[kind] = worst, left, x
+    # The first search of a kind may end far from its best, and another kind then look better.
+    closer = [(*_closest(each, kind, longest, *one), kind) for kind, one in best.items()]
+    worst, x, kind = min(closer, key=lambda one: one[0])
+    return (alone, None) if worst > alone else (worst, _servo(x, kind))
+
+
+def _closest(
+    each: Sequence[tuple[Corner, float]],
+    kind: _Kind,
+    longest: float,
+    worst: float,
+    left: float,
+    x: FloatArray,
+) -> tuple[float, FloatArray]:
+    """Return the numbers of a servo to which a search leads that is begun again and again."""
     cost = partial(_left, each, kind, longest)
     for _ in range(_MORE_SEARCHES):
         # Clear changes of speed tell much more than the first search asks for.
-        closer, point = minimum(cost, best, _SEARCHED[: best.size])
+        closer, point = minimum(cost, x, _SEARCHED[: x.size])
         if left - closer < 1.0:
             break
-        worst, left, best = worst - left + closer, closer, point
-    return (alone, None) if worst > alone else (worst, _servo(best, kind))
+        worst, left, x = worst - left + closer, closer, point
+    return worst, x
 
 
 def _waiting(

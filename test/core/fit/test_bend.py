@@ -164,6 +164,40 @@ def test_changes_of_speed_that_differ_are_not_made_alike() -> None:
     assert told[1].duration == pytest.approx(SHAPE.duration, rel=0.15)
 
 
+def _drawn_out(t: np.ndarray, changes: list[tuple[float, float]]) -> np.ndarray:
+    """Return the way of an arm whose speed changes by cubics of the time, 25 mm/s^2 on average."""
+    way = np.zeros(t.size)
+    for at, change in changes:
+        lasts = 40.0 * abs(change)
+        part = np.clip((t - at) / lasts + 0.5, 0.0, 1.0)
+        way += change * (lasts * (part**3 - 0.5 * part**4) + np.maximum(t - at - 0.5 * lasts, 0.0))
+    return way
+
+
+def test_a_change_of_speed_may_be_drawn_out_as_it_is_larger() -> None:
+    """A planner with one smooth ramp for all; where the jerk is limited they are not alike."""
+    trials, truth = [], []
+    random = np.random.default_rng(1)
+    for (trial, phases), speed in zip(_campaign([SHAPE] * 4, 1e-6), SPEEDS, strict=True):
+        t, stop = trial.tool_height.t, phases.t_contact + 0.003 / speed
+        begun = phases.t_contact - 0.001 / speed
+        changes = [(begun, speed), (stop, -speed), (stop + 4.0, -0.006), (stop + 4.9, 0.006)]
+        read = 3e-7 * random.standard_normal(t.size) - 0.001 + _drawn_out(t, changes)
+        read = phases.contact_height - np.round(read / 1e-6) * 1e-6
+        trials.append((replace(trial, tool_height=Signal(t, read)), phases))
+        truth.append((stop, changes))
+    servo, _ = arm_of(trials)
+    assert servo is not None
+    assert servo.even
+    assert servo.drawn_out
+    made, _ = prepare(trials)
+    for trial, speed, (stop, changes) in zip(made, SPEEDS, truth, strict=True):
+        assert trial is not None
+        near = stop + np.arange(-0.2, 0.3, 0.002)
+        off = np.diff(trial.path.at(near) - _drawn_out(near, changes)) / 0.002 / speed
+        assert np.sqrt(np.mean(off**2)) < 0.006
+
+
 def test_stops_may_be_alike_where_withdrawals_are_not() -> None:
     released = [Shape(duration) for duration in (0.03, 0.2, 0.09, 0.4)]
     trials = _campaign([SHAPE] * 4, 5e-6, released)
