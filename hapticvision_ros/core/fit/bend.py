@@ -1000,12 +1000,12 @@ def _alike(
             found.append(waits)
     if not found:
         return alone, None
-    best: dict[_Kind, tuple[float, float, FloatArray]] = {}
+    first: dict[_Kind, tuple[float, float, FloatArray]] = {}
     for worst, left, x, kind in found:
-        if kind not in best or worst < best[kind][0]:
-            best[kind] = worst, left, x
+        if kind not in first or worst < first[kind][0]:
+            first[kind] = worst, left, x
     # The first search of a kind may end far from its best, and another kind then look better.
-    closer = [(*_closest(each, kind, longest, *one), kind) for kind, one in best.items()]
+    closer = [(*_closest(each, kind, longest, *one), kind) for kind, one in first.items()]
     worst, x, kind = min(closer, key=lambda one: one[0])
     return (alone, None) if worst > alone else (worst, _servo(x, kind))
 
