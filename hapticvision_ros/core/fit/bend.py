@@ -655,6 +655,11 @@ class Servo:
     def _may_wait(self) -> bool:
         return self.wait > 0.0 and not self.even
 
+    @property
+    def takes(self) -> float:
+        """Return how long a usual change of speed takes, but for the last of the lag [s]."""
+        return Shape(self.lasts, 0.0, self.lag, self.swing).takes
+
     def inward(self, duration: float, lag: float, jerk: float) -> tuple[float, float, float]:
         """Return which way each goes from a limit that is nearer than a change: 1 or -1, or 0."""
         scale = self.lasts

@@ -1516,7 +1516,7 @@ def _on_the_object(turn: _Turned, phases: Segmentation, interval: float) -> bool
     end = phases.t_end if phases.t_loss is None else phases.t_loss
     # A quick withdrawal is off the object at once.
     end += _EDGE_SAMPLES[0] * interval + turn.bend.lasts
-    return turn.bend.t > float(phases.t_contact or 0.0) and turn.bend.start < end
+    return turn.bend.stop > float(phases.t_contact or 0.0) and turn.bend.start < end
 
 
 @lru_cache(maxsize=64)
@@ -1673,7 +1673,7 @@ def _between_lines(
     turns: list[_Turned] = []
     for (first, last), (after, end) in pairwise(pieces):
         around = t[[first, last, after, end]].tolist()
-        mine = servo if servo is not None and around[1] > touch else None
+        mine = servo if servo is not None and around[2] + servo.takes > touch else None
         tried = (
             _bend(t, value, around, step, noise, 0.0, 0, known)
             for known in ((mine, None) if mine is not None else (None,))
@@ -1728,7 +1728,8 @@ def _bent(
 
     An arm takes some time to change its speed. Two straight pieces and an acceleration between
     them take the place of the corners there if they follow the samples as well, but for `coarse`,
-    by which the encoders round. The arm is known to do it as `servo` from the touch on.
+    by which the encoders round. The arm is known to do it as `servo` where that may go on after
+    the touch.
     """
     step = float(np.median(np.diff(t)))
     groups: list[list[int]] = []
@@ -1744,7 +1745,7 @@ def _bent(
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
-        mine = servo if servo is not None and around[1] > touch else None
+        mine = servo if servo is not None and around[2] + servo.takes > touch else None
         tried = (
             _bend(t, value, around, step, noise, coarse, edge, known)
             for known in ((mine, None) if mine is not None else (None,))

@@ -198,6 +198,33 @@ def test_a_change_of_speed_may_be_drawn_out_as_it_is_larger() -> None:
         assert np.sqrt(np.mean(off**2)) < 0.006
 
 
+def test_a_start_that_goes_on_after_the_touch_is_followed_as_the_stops() -> None:
+    """The tool begins to move a tenth of a millimetre above the object."""
+    trials, truth = [], []
+    random = np.random.default_rng(1)
+    for (trial, phases), speed in zip(_campaign([SHAPE] * 4, 1e-6), SPEEDS, strict=True):
+        t = trial.tool_height.t
+        # By so much it has moved on average when it touches.
+        touch = np.interp(1e-4, _drawn_out(t - 1.0, [(0.0, speed)]), t - 1.0)
+        begun = phases.t_contact - touch
+        stop = begun + 0.003 / speed
+        changes = [(begun, speed), (stop, -speed), (stop + 4.0, -0.006), (stop + 4.7, 0.006)]
+        read = 4e-6 * random.standard_normal(t.size) - 1e-4 + _drawn_out(t, changes)
+        trials.append(
+            (replace(trial, tool_height=Signal(t, phases.contact_height - read)), phases)
+        )
+        truth.append(changes)
+    made, _ = prepare(trials)
+    for trial, (_, phases), speed, changes in zip(made, trials, SPEEDS, truth, strict=True):
+        assert trial is not None
+        near = phases.t_contact + np.arange(0.0, 0.3, 0.002)
+        off = np.diff(trial.path.at(near) - _drawn_out(near, changes)) / 0.002 / speed
+        assert trial.path.bends[0].t < phases.t_contact
+        assert trial.path.bends[0].common
+        # By a shape of its own it is off by up to one percent.
+        assert np.sqrt(np.mean(off**2)) < 0.005
+
+
 def test_stops_may_be_alike_where_withdrawals_are_not() -> None:
     released = [Shape(duration) for duration in (0.03, 0.2, 0.09, 0.4)]
     trials = _campaign([SHAPE] * 4, 5e-6, released)
