@@ -104,8 +104,8 @@ def main() -> int:
     height = Signal(t, 0.05 - depth + random.normal(0.0, 1e-6, t.size))
     trial = Trial('calculated', 0, Signal(t, force), height, None, 'none')
     fit([analyse(trial)], Model())
-    # The arm of this push goes along no curve.
-    smooth(t, height.value, 1e-6)
+    # The arm of this push goes along no curve, and does not ripple.
+    smooth(t, height.value + 2e-5 * np.sin(150.0 * t), 1e-6)
     return 0
 
 

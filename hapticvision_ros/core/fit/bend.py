@@ -655,11 +655,6 @@ class Servo:
     def _may_wait(self) -> bool:
         return self.wait > 0.0 and not self.even
 
-    @property
-    def takes(self) -> float:
-        """Return how long a usual change of speed takes, but for the last of the lag [s]."""
-        return Shape(self.lasts, 0.0, self.lag, self.swing).takes
-
     def inward(self, duration: float, lag: float, jerk: float) -> tuple[float, float, float]:
         """Return which way each goes from a limit that is nearer than a change: 1 or -1, or 0."""
         scale = self.lasts
@@ -997,21 +992,22 @@ def _alike(
             _, best = minimum(sought, start, _SEARCHED[: start.size])
             left = cost(best)
             found.append((left + start.size * worth, left, best, kind))
-    for waits in _waiting(each, shapes, clean=clean, longest=longest, worth=worth):
-        # No arm stops at once: where encoders do not tell it from a turn that takes a while and
-        # no more numbers, it is that.
-        rivals = [left for _, left, best, _ in found if best.size <= waits[2].size]
-        if waits[1] < min(rivals, default=math.inf) - SHOWN:
-            found.append(waits)
-    if not found:
-        return alone, None
     first: dict[_Kind, tuple[float, float, FloatArray]] = {}
     for worst, left, x, kind in found:
         if kind not in first or worst < first[kind][0]:
             first[kind] = worst, left, x
     # The first search of a kind may end far from its best, and another kind then look better.
     closer = [(*_closest(each, kind, longest, *one), kind) for kind, one in first.items()]
-    worst, x, kind = min(closer, key=lambda one: one[0])
+    rivals = [*found, *closer]
+    for waits in _waiting(each, shapes, clean=clean, longest=longest, worth=worth):
+        # No arm stops at once: where encoders do not tell it from a turn that takes a while and
+        # no more numbers, it is that.
+        as_few = [left for _, left, x, _ in rivals if x.size <= waits[2].size]
+        if waits[1] < min(as_few, default=math.inf) - SHOWN:
+            closer.append((*_closest(each, waits[3], longest, *waits[:3]), waits[3]))
+    if not closer:
+        return alone, None
+    worst, _, x, kind = min(closer, key=lambda one: one[0])
     return (alone, None) if worst > alone else (worst, _servo(x, kind))
 
 
@@ -1022,8 +1018,8 @@ def _closest(
     worst: float,
     left: float,
     x: FloatArray,
-) -> tuple[float, FloatArray]:
-    """Return the numbers of a servo to which a search leads that is begun again and again."""
+) -> tuple[float, float, FloatArray]:
+    """Return a servo to which a search leads that is begun again and again, as it was given."""
     cost = partial(_left, each, kind, longest)
     for _ in range(_MORE_SEARCHES):
         # Clear changes of speed tell much more than the first search asks for.
@@ -1031,7 +1027,7 @@ def _closest(
         if left - closer < 1.0:
             break
         worst, left, x = worst - left + closer, closer, point
-    return worst, x
+    return worst, left, x
 
 
 def _waiting(

@@ -1512,7 +1512,7 @@ def _bends(turns: Sequence[_Turned]) -> list[Bend]:
 
 
 def _on_the_object(turn: _Turned, phases: Segmentation, interval: float) -> bool:
-    """Return whether a tool changes its speed on the object, or is about to leave it."""
+    """Return whether a change of speed ends on the object, or is one that leads away from it."""
     end = phases.t_end if phases.t_loss is None else phases.t_loss
     # A quick withdrawal is off the object at once.
     end += _EDGE_SAMPLES[0] * interval + turn.bend.lasts
@@ -1673,7 +1673,11 @@ def _between_lines(
     turns: list[_Turned] = []
     for (first, last), (after, end) in pairwise(pieces):
         around = t[[first, last, after, end]].tolist()
-        mine = servo if servo is not None and around[2] + servo.takes > touch else None
+        slopes = [
+            (value[stop] - value[start]) / (t[stop] - t[start])
+            for start, stop in ((first, last), (after, end))
+        ]
+        mine = servo if _may_last_until(servo, slopes, t[after], touch) else None
         tried = (
             _bend(t, value, around, step, noise, 0.0, 0, known)
             for known in ((mine, None) if mine is not None else (None,))
@@ -1745,7 +1749,11 @@ def _bent(
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
         # A quick push has few samples of the encoders before it stops.
-        mine = servo if servo is not None and around[2] + servo.takes > touch else None
+        slopes = [
+            (levels[k + 1] - levels[k]) / (knots[k + 1] - knots[k])
+            for k in (group[0] - 1, group[-1])
+        ]
+        mine = servo if _may_last_until(servo, slopes, around[2], touch) else None
         tried = (
             _bend(t, value, around, step, noise, coarse, edge, known)
             for known in ((mine, None) if mine is not None else (None,))
@@ -1776,6 +1784,17 @@ def _bent(
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         return knots, levels, []
     return made, heights, turns
+
+
+def _may_last_until(
+    servo: Servo | None, slopes: Sequence[float], last: float, touch: float
+) -> bool:
+    """Return whether an arm that changes its speed so may go on with it after the touch."""
+    if servo is None:
+        return False
+    turn, fastest = slopes[1] - slopes[0], max(abs(slope) for slope in slopes)
+    share = abs(turn) / fastest if fastest > 0.0 else 0.0
+    return last + servo.shape(turn, share).takes > touch
 
 
 def _are_apart(gaps: FloatArray, step: float) -> bool:

@@ -35,6 +35,7 @@ from hapticvision_ros.core.fit.smooth import (
     forth,
     Smoothed,
     smoothed,
+    taken,
     usual_interval,
     vaguely,
 )
@@ -66,7 +67,11 @@ _PADDED: Final = 4
 """Length of a transform, over that of the longest move."""
 _FINER: Final = 8
 """Rates to either side that are tried in turn, and how much closer they are in the next."""
-_TURNS: Final = 2
+_TURNS: Final = 3
+_MOST_RATES: Final = 128
+"""Rates to either side that are tried at most."""
+_RATE: Final = 3
+"""Numbers as which a rate counts that is searched for: it is told by the length to the 3/2."""
 
 
 class Ripple(NamedTuple):
@@ -112,9 +117,10 @@ class Ripple(NamedTuple):
 
 
 class _Move(NamedTuple):
-    """A stretch in which the tool goes one way, and where its ripple is how full, shape (n,)."""
+    """Where the tool goes evenly one way, what is nearest to that, and how full its ripple is."""
 
     run: slice
+    near: slice
     full: FloatArray
 
 
@@ -151,24 +157,27 @@ def candidates(
         return ()
     rows = [_innovations(t[m.run], value[m.run], noise, _TREND * bandwidth) for m in moves]
     speed = float(np.median(np.abs(np.concatenate([steady.speed[m.run] for m in moves]))))
-    gates = np.array([move.full for move in moves])
-    everywhere = np.ones((len(moves), t.size))
-    searches = [
-        (_Search(t, moves, rows, gates, True), 1.0),
-        (_Search(t, moves, rows, gates, False), 1.0),
-        (_Search(steady.state, moves, rows, everywhere, False), 1.0 / speed),
-    ]
     ripples = []
-    # In one move alone the phase tells nothing of the next.
-    for search, unit in searches if len(moves) > 1 else searches[::2]:
+    for along, unit, in_time, apart in (
+        (t, 1.0, True, True),
+        (t, 1.0, True, False),
+        (steady.state, 1.0 / speed, False, False),
+    ):
+        search = _Search(along, moves, rows, in_time, apart)
         rate = search.rate(lowest * unit, highest * unit)
-        if rate is None:
+        # In one move alone the phase tells nothing of the next.
+        if rate is None or (in_time and not apart and search.told(rate) < 2):
             continue
         pairs, gain = search.amplitudes(rate)
-        full = search.full if search.apart else search.full.max(axis=0, keepdims=True)
-        cosine, sine = pairs.T @ full
-        price = (2 * np.count_nonzero(pairs.any(axis=1)) + 3) * math.log(t.size)
-        ripples.append(Ripple(t, rate * search.along, cosine, sine, price, gain - price))
+        if in_time:
+            cosine, sine = np.zeros((2, t.size))
+            for move, (a, b) in zip(moves, np.broadcast_to(pairs, (len(moves), 2)), strict=True):
+                cosine[move.near], sine[move.near] = a * move.full, b * move.full
+        else:
+            cosine, sine = np.outer(pairs[0], np.ones(t.size))
+        count = 2 * np.count_nonzero(pairs.any(axis=1)) + _RATE
+        price = count * math.log(t.size)
+        ripples.append(Ripple(t, rate * along, cosine, sine, price, gain - price))
     return tuple(ripples)
 
 
@@ -186,18 +195,16 @@ def _moves(speed: FloatArray) -> list[_Move]:
     middles = [(a.stop + b.start) // 2 for a, b in pairwise(runs)]
     moves = []
     for run, first, last in zip(runs, (0, *middles), (*middles, way.size), strict=True):
-        full = np.zeros(way.size)
         usual = float(np.median(size[run]))
-        near = size[first:last]
-        full[first:last] = np.where(
-            near > _MOVES * usual, np.minimum(near / (_FULL * usual), 1.0), 0.0
-        )
+        # Where it swings back after a stop nothing of the move goes on.
+        going = np.maximum(speed[first:last] * way[run.start], 0.0) / usual
+        full = np.clip((going - _MOVES) / (_FULL - _MOVES), 0.0, 1.0)
         even = np.flatnonzero(size[run] > _EVEN * usual)
         # It comes near its speed slowly, and leaves it at once.
         begin = run.start + (1 + _SETTLES) * int(even[0])
         end = 2 * (run.start + int(even[-1]) + 1) - run.stop
         if end - begin > _FEWEST:
-            moves.append(_Move(slice(begin, end), full))
+            moves.append(_Move(slice(begin, end), slice(first, last), full))
     return moves
 
 
@@ -221,23 +228,23 @@ def _innovations(t: FloatArray, value: FloatArray, noise: float, bandwidth: floa
 
 
 class _Search(NamedTuple):
-    """Along what a ripple repeats, (n,); how full it is, (k, n); and if each move has its own."""
+    """Along what a ripple repeats, (n,), if it rests with the tool, and if moves are apart."""
 
     along: FloatArray
     moves: Sequence[_Move]
     rows: Sequence[_Innovations]
-    full: FloatArray
+    in_time: bool
     apart: bool
 
     def rate(self, lowest: float, highest: float) -> float | None:
         """Return the rate of the strongest, or None where no move is long enough."""
-        spans = np.array([np.ptp(self.along[move.run]) for move in self.moves])
-        counts = np.array([self.along[move.run].size for move in self.moves])
+        places = [self.along[move.run] for move in self.moves]
+        spans = np.array([np.ptp(place) for place in places])
+        counts = np.array([place.size for place in places])
         step, longest = float(np.min(spans / (counts - 1))), float(spans.max())
         size = _PADDED * (int(longest / step) + 1)
         power = np.zeros(size // 2 + 1)
-        for move, row in zip(self.moves, self.rows, strict=True):
-            place = self.along[move.run]
+        for place, row in zip(places, self.rows, strict=True):
             order = np.argsort(place, kind='stable')
             even = np.arange(float(place.min()), float(place.max()), step)
             left = np.interp(even, place[order], row.left[order]) * np.hanning(even.size)
@@ -247,38 +254,41 @@ class _Search(NamedTuple):
         if not power.any():
             return None
         rate, width = float(rates[np.argmax(power)]), 2.0 * math.pi / longest
+        # A phase that goes on from move to move tells the rate as closely as all of them span.
+        span = longest if self.apart else float(np.ptp(np.concatenate(places)))
+        count = min(_FINER * math.ceil(span / longest), _MOST_RATES)
         for _ in range(_TURNS):
-            tried = rate + width * np.linspace(-1.0, 1.0, 2 * _FINER + 1)
-            rate = float(max(tried, key=self.gain))
-            width /= _FINER
+            tried = rate + width * np.linspace(-1.0, 1.0, 2 * count + 1)
+            rate = float(max(tried, key=lambda each: self.amplitudes(each)[1]))
+            width, count = width / count, _FINER
         return rate
 
-    def products(self, rate: float) -> FloatArray:
-        """Return the products of cosine, sine and samples of each move, shape (k, 3, 3)."""
-        products = np.empty((len(self.moves), 3, 3))
+    def told(self, rate: float) -> int:
+        """Return how many moves tell it."""
+        return sum(self._is_told(rate * self.along[move.run]) for move in self.moves)
+
+    def _is_told(self, phase: FloatArray) -> bool:
+        return float(np.ptp(phase)) >= 2.0 * math.pi * _PERIODS
+
+    def amplitudes(self, rate: float) -> tuple[FloatArray, float]:
+        """Return the amplitudes in each move, or in all, (k, 2) [m], and the fall of squares."""
+        products = np.zeros((len(self.moves), 3, 3))
         for place, (move, row) in enumerate(zip(self.moves, self.rows, strict=True)):
             phase = rate * self.along[move.run]
-            if np.ptp(phase) < 2.0 * math.pi * _PERIODS:
-                # What it is there cannot be told.
-                products[place] = 0.0
+            if not self._is_told(phase):
                 continue
-            full = self.full[place, move.run]
+            run, near = move.run, move.near
+            inside = slice(run.start - near.start, run.stop - near.start)
+            full = move.full[inside] if self.in_time else 1.0
             rows = np.empty((3, phase.size))
             _filtered(row.t, row.gains, full * np.cos(phase), rows[0])
             _filtered(row.t, row.gains, full * np.sin(phase), rows[1])
             rows[2] = row.left
             products[place] = rows @ rows.T
-        return products if self.apart else products.sum(axis=0, keepdims=True)
-
-    def amplitudes(self, rate: float) -> tuple[FloatArray, float]:
-        """Return the amplitudes in each move, or in all, (k, 2) [m], and the fall of squares."""
-        products = self.products(rate)
-        pairs = np.array([np.linalg.lstsq(p[:2, :2], p[:2, 2])[0] for p in products])
-        return pairs, float(np.sum(pairs * products[:, :2, 2]))
-
-    def gain(self, rate: float) -> float:
-        """Return the fall of the squares, over the noise."""
-        return self.amplitudes(rate)[1]
+        if not self.apart:
+            products = products.sum(axis=0, keepdims=True)
+        pairs = [np.linalg.lstsq(p[:2, :2], p[:2, 2], rcond=None)[0] for p in products]
+        return np.array(pairs), float(np.sum(pairs * products[:, :2, 2]))
 
 
 @kernel(error_model='numpy')
@@ -291,15 +301,9 @@ def _gains(t, variance, vague, intensity, gains):  # type: ignore[no-untyped-def
         if i > 0:
             forth(t[i] - t[i - 1], intensity, m, p)
         s = p[0] + variance
-        x, v, a = p[0] / s, p[1] / s, p[2] / s
-        gains[i, 0], gains[i, 1], gains[i, 2] = x, v, a
+        gains[i, 0], gains[i, 1], gains[i, 2] = p[0] / s, p[1] / s, p[2] / s
         gains[i, 3] = 1.0 / np.sqrt(s)
-        p[5] -= a * p[2]
-        p[4] -= a * p[1]
-        p[3] -= v * p[1]
-        p[2] = p[2] * variance / s
-        p[1] = p[1] * variance / s
-        p[0] = p[0] * variance / s
+        taken(0.0, variance, m, p)
 
 
 @kernel(error_model='numpy')

@@ -178,7 +178,7 @@ def forth(h, q, m, p):  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy')
-def _taken(value, variance, m, p):  # type: ignore[no-untyped-def]
+def taken(value, variance, m, p):  # type: ignore[no-untyped-def]
     """Take a sample into mean and covariance; return minus twice its log likelihood."""
     s = p[0] + variance
     miss = value - m[0]
@@ -205,11 +205,11 @@ def _try(t, value, variance, vague, unit, least, widths, misfits):  # type: igno
         m[0] = value[0]
         p[:] = 0.0
         p[0], p[3], p[5] = vague[0], vague[1], vague[2]
-        total = _taken(value[0], variance, m, p)
+        total = taken(value[0], variance, m, p)
         for i in range(1, t.size):
             width = max(min(least[i], least[i - 1]), widths[j])
             forth(t[i] - t[i - 1], unit * width**6, m, p)
-            total += _taken(value[i], variance, m, p)
+            total += taken(value[i], variance, m, p)
         misfits[j] = total
 
 
@@ -225,12 +225,12 @@ def _through(  # type: ignore[no-untyped-def]
     m[0] = value[0]
     p = np.zeros(6)
     p[0], p[3], p[5] = vague[0], vague[1], vague[2]
-    total = _taken(value[0], variance, m, p)
+    total = taken(value[0], variance, m, p)
     means[0] = m
     covariances[0] = p
     for i in range(1, n):
         forth(t[i] - t[i - 1], intensity[i - 1], m, p)
-        total += _taken(value[i], variance, m, p)
+        total += taken(value[i], variance, m, p)
         means[i] = m
         covariances[i] = p
     # Backwards, what later samples say of the mean at a sample: the modified Bryson-Frazier form
