@@ -53,8 +53,8 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
     value = 1e-3 * np.sin(20.0 * t) + 1e-5 * random.standard_normal(t.size)
     intensity = 10.0 ** random.uniform(0.0, 2.0, t.size - 1)
     variance, vague = 1e-10, vaguely(value, 0.01)
-    state, speed = np.empty(t.size), np.empty(t.size)
-    misfit = _through(t, value, variance, vague, intensity, state, speed)
+    state, speed, unsure = np.empty((3, t.size))
+    misfit = _through(t, value, variance, vague, intensity, state, speed, unsure)
 
     # Rows of each state as a sum of what is new in each step, which is independent.
     rows = np.zeros((t.size, 3, 3 * t.size))
@@ -75,6 +75,9 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
     weighted = np.linalg.solve(covariance, value - value[0])
     np.testing.assert_allclose(state, value[0] + places @ places.T @ weighted, atol=1e-9)
     np.testing.assert_allclose(speed, speeds @ places.T @ weighted, rtol=1e-4, atol=1e-6)
+    shared = np.linalg.solve(covariance, places @ speeds.T)
+    known = np.sum(speeds**2, axis=1) - np.sum((speeds @ places.T).T * shared, axis=0)
+    np.testing.assert_allclose(unsure**2, known, rtol=1e-3, atol=1e-9)
     _, log_determinant = np.linalg.slogdet(covariance / variance)
     expected = (value - value[0]) @ weighted + log_determinant
     assert misfit == pytest.approx(expected, rel=1e-4)
