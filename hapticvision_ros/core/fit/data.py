@@ -1760,12 +1760,12 @@ def _bent(
     while pending:
         group = pending.pop()
         around = knots[[group[0] - 1, group[0], group[-1], group[-1] + 1]].tolist()
-        # A quick push has few samples of the encoders before it stops.
         slopes = [
             (levels[k + 1] - levels[k]) / (knots[k + 1] - knots[k])
             for k in (group[0] - 1, group[-1])
         ]
         mine = servo if _may_last_until(servo, slopes, around[2], touch) else None
+        # A quick push has few samples of the encoders before it stops.
         tried = (
             _bend(t, value, around, step, noise, coarse, edge, known)
             for known in ((mine, None) if mine is not None else (None,))
