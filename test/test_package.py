@@ -236,3 +236,12 @@ def test_set_up_without_network_says_so_and_leaves_nothing_that_passes_for_done(
     )
     assert said.startswith('setup: the package index cannot be reached; connect to the network')
     assert said.count('\n') == 1
+
+
+def test_the_script_that_compiles_the_kernels_calls_what_there_is() -> None:
+    """The set-up goes on without it, so that nothing else shows when it fails."""
+    script = str(ROOT / 'tools' / 'compile_kernels.py')
+    done = subprocess.run(
+        [sys.executable, script], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -39,7 +39,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.bootstrap import sensor_noise
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.noise_model import SensorNoise
-from hapticvision_ros.core.fit.smooth import smooth
+from hapticvision_ros.core.fit.way import smooth
 from hapticvision_ros.core.haptic import HapticStepper
 from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.surface.distance import nearest
@@ -61,8 +61,9 @@ def fits() -> None:
     for bag in BAGS:
         fit([analyse(read_trial(Path(bag)))], Model(EFFECTS))
     HapticStepper(Model(), {'K1': 1.0, 'C1': 1.0, 'C2': 1.0})
-    # No arm of these bags goes along a curve.
-    smooth(np.arange(64.0), np.zeros(64), 1.0)
+    # No arm of these bags goes along a curve, and none ripples.
+    t = np.arange(0.0, 4.0, 0.005)
+    smooth(t, 1e-2 * t + 2e-5 * np.sin(50.0 * t), 1e-6)
 
 
 def worlds() -> None:
