@@ -869,19 +869,7 @@ def _unsure(force: FloatArray, trial: FitTrial, blur: Blur) -> FloatArray:
     if error > 0.0:
         # The error is one for the whole push: each step stands for as much as all tell together.
         variance[push] += (push.stop - push.start) * (error * force[push]) ** 2
-    if trial.path.spread is not None:
-        variance += (_viscosity(force, trial) * trial.path.spread_at(trial.middle)) ** 2
     return variance
-
-
-def _viscosity(force: FloatArray, trial: FitTrial) -> FloatArray:
-    """Return how the force goes with a speed that soon changes again, (n,) [N.s/m]."""
-    pressed = force != 0.0
-    both = pressed[1:] & pressed[:-1]
-    changes = np.diff(np.diff(trial.displacement) / trial.duration)[both]
-    squares = float(changes @ changes)
-    viscosity = abs(float(np.diff(force)[both] @ changes)) / squares if squares > 0.0 else 0.0
-    return np.where(pressed, viscosity, 0.0)
 
 
 @kernel()

@@ -301,8 +301,6 @@ class ToolPath:
     still : float
         Interval between corners from which on the tool hardly changes its speed there, as at the
         knots of a smooth way [s].
-    spread : ndarray, shape (k,), optional
-        Standard deviation of the speed at the corners of a smooth way [m/s].
 
     """
 
@@ -314,7 +312,6 @@ class ToolPath:
     servo: Servo | None = None
     rest: Rest | None = None
     still: float = math.inf
-    spread: FloatArray | None = None
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -323,10 +320,6 @@ class ToolPath:
             first, last = np.searchsorted(t, (bend.start, bend.stop))
             result[first:last] += bend.beyond(t[first:last])
         return result
-
-    def spread_at(self, t: FloatArray) -> FloatArray:
-        """Return the standard deviation of the speed at times `t` [m/s]; zero but for curves."""
-        return np.zeros(t.size) if self.spread is None else np.interp(t, self.t, self.spread)
 
     def held(self, t: FloatArray, shift: float) -> FloatArray:
         """
@@ -1472,13 +1465,8 @@ def _path(
         servo,
         _rest(turns, phases, float(value.max()), interval),
         still,
-        None if way is None else _padded(way.spread, before[0].size, after[0].size),
     )
     return path, told
-
-
-def _padded(values: FloatArray, before: int, after: int) -> FloatArray:
-    return np.concatenate((np.zeros(before), values, np.zeros(after)))
 
 
 def _smooth_way(

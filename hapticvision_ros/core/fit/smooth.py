@@ -61,8 +61,6 @@ class Smoothed(NamedTuple):
         Up to where the place is followed there [rad/s].
     misfit : float
         Minus twice the log likelihood of the samples, but for a constant.
-    spread : ndarray, shape (n,)
-        Standard deviation of the speed [m/s].
 
     """
 
@@ -70,7 +68,6 @@ class Smoothed(NamedTuple):
     speed: FloatArray
     bandwidth: FloatArray
     misfit: float
-    spread: FloatArray
 
 
 def usual_interval(t: FloatArray) -> float:
@@ -130,10 +127,10 @@ def smoothed(t: FloatArray, value: FloatArray, noise: float, bandwidth: FloatArr
     """Smooth samples of some noise [m] up to a bandwidth at each [rad/s], shapes (n,)."""
     interval = usual_interval(t)
     intensity = noise**2 * interval * np.minimum(bandwidth[1:], bandwidth[:-1]) ** 6
-    state, speed, spread = np.empty((3, t.size))
+    state, speed = np.empty(t.size), np.empty(t.size)
     vague = vaguely(value, interval)
-    misfit = _through(t, value, noise**2, vague, intensity, state, speed, spread)
-    return Smoothed(state, speed, bandwidth, misfit, spread)
+    misfit = _through(t, value, noise**2, vague, intensity, state, speed)
+    return Smoothed(state, speed, bandwidth, misfit)
 
 
 def vaguely(value: FloatArray, interval: float) -> FloatArray:
@@ -218,9 +215,9 @@ def _try(t, value, variance, vague, unit, least, widths, misfits):  # type: igno
 
 @kernel(error_model='numpy')
 def _through(  # type: ignore[no-untyped-def]
-    t, value, variance, vague, intensity, state, speed, spread
+    t, value, variance, vague, intensity, state, speed
 ):
-    """Set smoothed places, speeds and how well these are known; return minus 2 log likelihood."""
+    """Set the smoothed places and speeds; return minus twice the log likelihood."""
     n = t.size
     means = np.empty((n, 3))
     covariances = np.empty((n, 6))
@@ -241,40 +238,16 @@ def _through(  # type: ignore[no-untyped-def]
     x = v = a = 0.0
     state[n - 1] = means[n - 1, 0]
     speed[n - 1] = means[n - 1, 1]
-    spread[n - 1] = np.sqrt(covariances[n - 1, 3])
-    # What they say is known as well as this tells (xx, xv, xa, vv, va, aa).
-    told = np.zeros(6)
     for i in range(n - 2, -1, -1):
         m[:] = means[i]
         p[:] = covariances[i]
         h = t[i + 1] - t[i]
         forth(h, intensity[i], m, p)
         s = p[0] + variance
-        kx, kv, ka = p[0] / s, p[1] / s, p[2] / s
         x -= (p[0] * x + p[1] * v + p[2] * a + value[i + 1] - m[0]) / s
-        # The transposed of what a sample leaves of the state takes (x, v, a) there and back.
-        xx, xv, xa, vv, va, aa = told[0], told[1], told[2], told[3], told[4], told[5]
-        gx = kx * xx + kv * xv + ka * xa
-        gv = kx * xv + kv * vv + ka * va
-        ga = kx * xa + kv * va + ka * aa
-        xx += kx * gx + kv * gv + ka * ga - 2.0 * gx + 1.0 / s
-        xv -= gv
-        xa -= ga
-        # Over the step before.
-        half = 0.5 * h * h
-        told[0] = xx
-        told[1] = xv + h * xx
-        told[2] = xa + h * xv + half * xx
-        told[3] = vv + 2.0 * h * xv + h * h * xx
-        told[4] = va + h * (vv + xa) + (half + h * h) * xv + h * half * xx
-        told[5] = aa + 2.0 * (h * va + half * xa) + h * h * vv + 2.0 * h * half * xv
-        told[5] += half * half * xx
         a += h * v + 0.5 * h * h * x
         v += h * x
         c = covariances[i]
         state[i] = means[i, 0] - (c[0] * x + c[1] * v + c[2] * a)
         speed[i] = means[i, 1] - (c[1] * x + c[3] * v + c[4] * a)
-        known = c[1] * c[1] * told[0] + c[3] * c[3] * told[3] + c[4] * c[4] * told[5]
-        known += 2.0 * (c[1] * c[3] * told[1] + c[1] * c[4] * told[2] + c[3] * c[4] * told[4])
-        spread[i] = np.sqrt(max(c[3] - known, 0.0))
     return total

@@ -57,8 +57,6 @@ class Way(NamedTuple):
         samples tell no way.
     still : float
         Interval between knots from which on the speed hardly changes between these [s].
-    spread : ndarray, shape (k,)
-        Standard deviation of the speed at the knots [m/s].
 
     """
 
@@ -66,7 +64,6 @@ class Way(NamedTuple):
     value: FloatArray
     misfit: float
     still: float
-    spread: FloatArray
 
 
 def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
@@ -114,8 +111,7 @@ def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
     for ripple in ripples:
         levels += ripple.at(knots)
     still = _CALM * _BETWEEN / calm(usual_interval(t))
-    spread = np.interp(knots, t, found.spread)
-    return Way(knots, levels, found.misfit, still, spread)
+    return Way(knots, levels, found.misfit, still)
 
 
 def _cost(way: tuple[Smoothed, Ripple]) -> float:
@@ -126,7 +122,7 @@ def _knots(
     t: FloatArray, found: Smoothed, ripples: Sequence[Ripple]
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots as dense as the bandwidths ask for, on a cubic between the samples."""
-    state, speed, bandwidth, *_ = found
+    state, speed, bandwidth, _ = found
     steps = np.diff(t)
     wide = np.maximum(bandwidth[1:], bandwidth[:-1])
     for ripple in ripples:

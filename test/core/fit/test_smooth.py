@@ -17,16 +17,11 @@
 from collections.abc import Callable
 import math
 
-from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.fit.campaign import _viscosity, fit
 from hapticvision_ros.core.fit.data import _smooth_way, prepare, tool_path
 from hapticvision_ros.core.fit.ripple import candidates
 from hapticvision_ros.core.fit.smooth import _through, adapted, vaguely
 from hapticvision_ros.core.fit.way import smooth
-from hapticvision_ros.core.pipeline import analyse
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
-from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, Push, run, Sensors
-from hapticvision_ros.sim.specimen import Body
 import numpy as np
 import pytest
 
@@ -58,8 +53,8 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
     value = 1e-3 * np.sin(20.0 * t) + 1e-5 * random.standard_normal(t.size)
     intensity = 10.0 ** random.uniform(0.0, 2.0, t.size - 1)
     variance, vague = 1e-10, vaguely(value, 0.01)
-    state, speed, unsure = np.empty((3, t.size))
-    misfit = _through(t, value, variance, vague, intensity, state, speed, unsure)
+    state, speed = np.empty(t.size), np.empty(t.size)
+    misfit = _through(t, value, variance, vague, intensity, state, speed)
 
     # Rows of each state as a sum of what is new in each step, which is independent.
     rows = np.zeros((t.size, 3, 3 * t.size))
@@ -80,9 +75,6 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
     weighted = np.linalg.solve(covariance, value - value[0])
     np.testing.assert_allclose(state, value[0] + places @ places.T @ weighted, atol=1e-9)
     np.testing.assert_allclose(speed, speeds @ places.T @ weighted, rtol=1e-4, atol=1e-6)
-    shared = np.linalg.solve(covariance, places @ speeds.T)
-    known = np.sum(speeds**2, axis=1) - np.sum((speeds @ places.T).T * shared, axis=0)
-    np.testing.assert_allclose(unsure**2, known, rtol=1e-3, atol=1e-9)
     _, log_determinant = np.linalg.slogdet(covariance / variance)
     expected = (value - value[0]) @ weighted + log_determinant
     assert misfit == pytest.approx(expected, rel=1e-4)
@@ -229,36 +221,3 @@ def test_steps_are_sparse_where_a_rippling_tool_rests_and_dense_where_it_goes(
     fine = np.arange(times[0] + 0.1, times[1] - 0.1, 1e-3)
     straight = np.interp(fine, made.t, made.displacement)
     assert np.std(straight - made.path.at(fine)) < 0.5e-6
-
-
-def test_what_encoders_leave_open_of_the_speed_is_noise_of_the_force() -> None:
-    """About a stop a way that bends quickly is smoothed little, and dashpots feel what is left."""
-    campaign = Campaign(
-        Body(1100.0, 3300.0, 3900.0),
-        tuple(Push(speed, depth, 3.0, 2.0) for speed, depth in ((2e-3, 6e-3), (6e-3, 4e-3))),
-        Sensors(
-            ForceNoise(0.085),
-            1e-5,
-            force_rate=500.0,
-            tool_rate=125.0,
-            encoder_noise=4e-6,
-            encoder_resolution=1e-5,
-        ),
-        acceleration=0.1,
-        ripple=11e-6,
-        ripple_rate=8.8,
-    )
-    trials = [analyse(trial) for trial in run(campaign, seed=3).trials]
-    found = fit([(trial.trial, trial.segmentation) for trial in trials], Model())
-    problem = found.problem
-    variances = problem.unsure(found.state, found.noise.blur)
-    for k, (trial, analysed) in enumerate(zip(problem.trials, trials, strict=True)):
-        force = problem.predict(found.state, k, directions=False).force
-        # A quick change of speed is felt by both dashpots in a row.
-        felt = _viscosity(force, trial).max()
-        assert felt == pytest.approx(3300.0 * 3900.0 / 7200.0, rel=0.02)
-        stop = np.abs(trial.middle - analysed.segmentation.t_hold) < 0.15
-        left = problem.records(found.state, k)[0][-1][stop] ** 2
-        noise = found.noise.force.std**2 / np.maximum(trial.force_count[stop], 1)
-        assert np.mean(left / noise) > 5.0
-        assert 0.5 < np.mean(left / (noise + variances[k][stop])) < 1.7
