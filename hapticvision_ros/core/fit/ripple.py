@@ -145,12 +145,13 @@ def candidates(
         Empty where the samples show no part that bends, or the tool does not move for long.
 
     """
-    bent = found.bandwidth > 1.01 * calm(usual_interval(t))
+    interval = usual_interval(t)
+    bent = found.bandwidth > 1.01 * calm(interval)
     if not bent.any():
         return ()
     bandwidth = float(np.median(found.bandwidth[bent]))
     steady = smoothed(t, value, noise, np.full(t.size, _STEADY * bandwidth))
-    highest = min(_RATES[1] * bandwidth, _FASTEST * math.pi / usual_interval(t))
+    highest = min(_RATES[1] * bandwidth, _FASTEST * math.pi / interval)
     lowest = _RATES[0] * bandwidth
     moves = _moves(steady.speed)
     if not moves or highest <= lowest:

@@ -214,6 +214,9 @@ def test_a_start_that_goes_on_after_the_touch_is_followed_as_the_stops() -> None
             (replace(trial, tool_height=Signal(t, phases.contact_height - read)), phases)
         )
         truth.append(changes)
+    # The quickest, whose own shape ends on the object, tells how the arm does it as well.
+    _, corners = arm_of(trials)
+    assert any(corner.is_start and corner.turn > 0.0 for corner in corners)
     made, _ = prepare(trials)
     held = 0
     for trial, (_, phases), speed, changes in zip(made, trials, SPEEDS, truth, strict=True):

@@ -121,7 +121,8 @@ def test_a_ripple_in_time_rests_with_the_tool_and_one_in_place_does_not() -> Non
         assert best.promise - min(ripple.promise for ripple in tried) > 100.0
         assert np.hypot(best.cosine, best.sine).max() == pytest.approx(14e-6, rel=0.1)
         going, held = best.rate[500:1400], best.rate[2000:6000]
-        assert going == pytest.approx(2.0 * np.pi * 9.0, rel=0.05) or not rests
+        # A tooth of 0.33 mm passes nine times a second as well.
+        assert going == pytest.approx(2.0 * np.pi * 9.0, rel=0.05)
         assert (held.max() == 0.0) == rests
 
 
