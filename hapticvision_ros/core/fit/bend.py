@@ -61,6 +61,8 @@ _CRITICAL: Final = 1e-4
 """Four times a swing less one, of either sign, below which the damping is the critical one."""
 _STIFF: Final = 1e-4
 """Swing below which a servo has a lag of first order."""
+_UNLIKELY: Final = 80.0
+"""Squares over the noise by which a place to rest is so unlikely that no sum shows it."""
 _BRIEFEST: Final = 1e-4
 """Acceleration that comes and goes at once, as how it does so cannot be told apart [s]."""
 SWINGS: Final = (0.5, 1.2)
@@ -473,10 +475,10 @@ class Corner(NamedTuple):
         others = self._lines, self.rest, self.coarse, shift
         return float(_left_by(self.t, self.value, *others, _numbers(shape)))
 
-    def deviance(self, shape: Shape) -> float:
-        """Return minus twice the log likelihood of a shape, wherever the tool rests."""
+    def deviance(self, shape: Shape, most: float = math.inf) -> float:
+        """Return minus twice the log likelihood of a shape wherever the tool rests, at most."""
         others = self._lines, self.rest, self.coarse, self.noise
-        return float(_deviance(self.t, self.value, *others, _numbers(shape)))
+        return min(float(_deviance(self.t, self.value, *others, _numbers(shape), most)), most)
 
     @property
     def _lines(self) -> tuple[float, float, float, float]:
@@ -505,8 +507,8 @@ class Corner(NamedTuple):
 
 
 @kernel(error_model='numpy')
-def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
-    """Return the sum of squares that a shape leaves where the tool rests at a shift."""
+def _missed(t, value, lines, rest, coarse, shift, how, most):  # type: ignore[no-untyped-def]
+    """Return the squares that a shape leaves where the tool rests at a shift, up to the most."""
     level, slope, next_level, next_slope = lines
     duration, jerk, lag, swing, part, wait = how
     turn = next_slope - slope
@@ -524,6 +526,8 @@ def _missed(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyp
         if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
             left = max(abs(left) - coarse, 0.0)
         total += left * left
+        if total > most:
+            break
     return total
 
 
@@ -535,7 +539,7 @@ def _numbers(shape: Shape) -> tuple[float, float, float, float, float, float]:
 
 @kernel(error_model='numpy')
 def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-untyped-def]
-    return _missed(t, value, lines, rest, coarse, shift, how)
+    return _missed(t, value, lines, rest, coarse, shift, how, np.inf)
 
 
 @kernel(error_model='numpy')
@@ -544,18 +548,23 @@ def _squares(  # type: ignore[no-untyped-def]
 ):
     for j in range(shifts.size):
         how = durations[j], soft * durations[j], lag, 0.0, 0.0, 0.0
-        squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how)
+        squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how, np.inf)
 
 
 @kernel(error_model='numpy')
-def _deviance(t, value, lines, rest, coarse, noise, how):  # type: ignore[no-untyped-def]
+def _deviance(t, value, lines, rest, coarse, noise, how, most):  # type: ignore[no-untyped-def]
     """Return minus twice the log likelihood of a shape, wherever the tool rests."""
     count = RESTS if rest >= 0 else 1
     scaled = np.empty(count)
-    for j in range(count):
+    variance = noise * noise
+    least = np.inf
+    for k in range(count):
+        # From the middle on to both sides: what is much less likely than others is not summed up.
+        j = count // 2 + ((k + 1) // 2 if k % 2 else -(k // 2))
         shift = coarse * (2.0 * j / (RESTS - 1) - 1.0) if count > 1 else 0.0
-        scaled[j] = _missed(t, value, lines, rest, coarse, shift, how) / (noise * noise)
-    least = scaled.min()
+        enough = variance * (min(least, most) + _UNLIKELY)
+        scaled[j] = _missed(t, value, lines, rest, coarse, shift, how, enough) / variance
+        least = min(least, scaled[j])
     total = 0.0
     for j in range(count):
         total += math.exp(-0.5 * (scaled[j] - least))
@@ -825,7 +834,7 @@ def _left(
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
     return sum(
-        min(corner.deviance(shape), alone + _APART)
+        corner.deviance(shape, alone + _APART)
         for (corner, alone), shape in zip(corners, shapes, strict=True)
     )
 

@@ -1015,7 +1015,7 @@ def _is_as_good(whole: Servo, servo: Servo | None, turns: 'Sequence[_Turned]') -
     def left(turn: _Turned, by: Servo | None) -> float:
         alone = turn.corner.deviance(turn.shape) + 2.0 * worth
         mine = None if by is None else by.of(turn.corner)
-        return alone if mine is None else min(turn.corner.deviance(mine.at(turn.corner)), alone)
+        return alone if mine is None else turn.corner.deviance(mine.at(turn.corner), alone)
 
     return sum(left(turn, whole) - left(turn, servo) for turn in turns) < worth
 

@@ -36,6 +36,7 @@ from hapticvision_ros.sim.specimen import Body
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
+from scipy.special import logsumexp
 
 TOP = 0.03
 STEP = 1e-5
@@ -453,6 +454,22 @@ def test_a_corner_of_one_sample_tells_nothing() -> None:
     alone = Corner(np.array([2.5]), np.array([0.0]), 0.0, 0.001, 0.0, -0.001, -1, 0.0, 1e-8)
     assert alone.noisiness == np.inf
     assert servo_of([alone] * 3, [Shape(0.0)] * 3) is None
+
+
+@pytest.mark.parametrize('shape', [SHAPE, Shape(0.02), Shape(0.05, 0.0, 0.02, 1.0)])
+@pytest.mark.parametrize('rest', [1, -1])
+def test_what_is_less_likely_than_others_makes_no_difference(shape: Shape, rest: int) -> None:
+    t = np.arange(-0.2, 0.2, 0.004)
+    speed, coarse, noise = 0.002, 0.5 * STEP, 2e-6
+    # A stop that is some steps of the encoders long, and a rest beside the middle of a step.
+    way = speed * np.minimum(t, 0.0) - speed * rounded(t, SHAPE) + 0.3 * STEP
+    read = STEP * np.round(way / STEP)
+    corner = Corner(t, read, 0.3 * STEP, speed, read[-1], 0.0, rest, coarse, noise)
+    left = np.array([corner.left(shape, shift) for shift in corner.shifts.tolist()]) / noise**2
+    whole = -2.0 * float(logsumexp(-0.5 * left) - np.log(left.size))
+    assert corner.deviance(shape) == pytest.approx(whole, rel=1e-9)
+    assert corner.deviance(shape, whole + 1.0) == pytest.approx(whole, rel=1e-9)
+    assert corner.deviance(shape, whole - 1.0) == whole - 1.0
 
 
 RAMP = 0.074
