@@ -69,6 +69,7 @@ _LAWS: Final = (
     'exponential_stiffening',
     'ageing',
     'adhesion:cohesive_zone',
+    'adhesion:fading_zone',
 )
 """Effects that a link with constant numbers cannot hold."""
 _DIGITS: Final = 10
@@ -205,6 +206,7 @@ _WITHOUT_FORM: Final = {
     'M': 'the mass that moves with the contact point is none of a volume of the material',
     'F_ad': 'a pull-off force goes with the edge of the contact, not with its area',
     'delta_c': 'the opening at which a pull ends is that of the surface, not of the material',
+    'delta_e': 'the opening over which a pull fades is that of the surface, not of the material',
 }
 
 

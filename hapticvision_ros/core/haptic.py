@@ -38,6 +38,7 @@ from hapticvision_ros.core.models.chain import (
     _anchor,
     _end_weight,
     _flow_unit,
+    _held,
     _lead,
     _memory_weight,
     _power,
@@ -73,6 +74,7 @@ _DREF = int(Slot.REFERENCE_DEPTH)
 _FAD = int(Slot.ADHESION)
 _MASS = int(Slot.MASS)
 _OPEN = int(Slot.OPENING)
+_DECAY = int(Slot.DECAY)
 _GROWTH = len(Slot)
 """Behind the slots of the chain: a of exponential stiffening [1/m]."""
 
@@ -125,6 +127,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     rate, rate_before = state[_RATE], state[_RATE_BEFORE]
     contact = state[_CONTACT] > 0.0
     # How far a cohesive zone is open, and how fast it opens.
+    cohesive = q[_OPEN] > 0.0 or q[_DECAY] > 0.0
     held_back, gap, opens = state[_HELD_BACK] > 0.0, state[_GAP], state[_OPENS]
     x_start = x
 
@@ -167,10 +170,9 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         ahead = x + hs * speed
         pull = (d_end - d_start) / h
         tear = 0.0
-        torn = 1.0
+        lasting = False
         if held_back and not touching:
-            if opens > 0.0:
-                torn = min(max((q[_OPEN] - gap) / (opens * hs), 0.0), 1.0)
+            torn, _gap, _more, _length, lasting = _held(gap, opens * hs, q[_OPEN], q[_DECAY])
             tear = f_ad * torn
         lead = 0.0
         if touching and c0 > 0.0:
@@ -234,7 +236,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                 if split:
                     if mean < -f_ad:
                         touching = False
-                        held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
+                        held_back, gap, opens = cohesive, 0.0, 0.0
                         share = 1.0
                         split = False
                         rate = 0.0
@@ -262,7 +264,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             share = 1.0
             if first <= -f_ad:
                 touching = False
-                held_back, gap, opens = q[_OPEN] > 0.0, 0.0, 0.0
+                held_back, gap, opens = cohesive, 0.0, 0.0
                 rate = 0.0
                 rate_before = 0.0
                 stage = _SURE
@@ -294,13 +296,13 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                 force -= tear * share
                 opens = (x_end - d_end - gap) / hs
                 gap = x_end - d_end
-                held_back = torn == 1.0
+                held_back = lasting
         x = x_end
         contact = touching
         if stage not in (_LAST, _CAUGHT):
             break
         touching = stage == _CAUGHT
-        held_back, gap, opens = q[_OPEN] > 0.0 and not touching, 0.0, 0.0
+        held_back, gap, opens = cohesive and not touching, 0.0, 0.0
         stage = _REST
         share = 1.0 - share
         contact = True

@@ -101,6 +101,7 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'loose_top': (Quantity('delta_0', 'm', 0.0),),
     'ageing_by_trial': (Quantity('rate', '1/h', 0.0),),
     'necking': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
+    'stringing': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
 }
 """
 Effects of the contract by laws that differ from those of `LIBRARY`.
@@ -113,7 +114,8 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``touch_shadow``: the height is biased while the tool touches the object;
 ``loose_top``: the top is pushed down by `delta_0` before the object resists, and stays down;
 ``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it;
-``necking``: adhesion that pulls on with its force until necks of `length` have been drawn out.
+``necking``: adhesion that pulls on with its force until necks of `length` have been drawn out;
+``stringing``: adhesion whose threads break one after the other, as many on each `length`.
 """
 
 LAW_OF: Final[Mapping[str, str]] = {
@@ -126,6 +128,7 @@ LAW_OF: Final[Mapping[str, str]] = {
     'loose_top': 'contact_offset',
     'ageing_by_trial': 'ageing',
     'necking': 'adhesion',
+    'stringing': 'adhesion',
 }
 """Whose laws these are."""
 
@@ -477,6 +480,8 @@ _SHORTEST = 1e-8
 _AT_ONCE = 1e-11
 """How exactly touch and loss are found [s]."""
 _MOST_EVENTS = 4000
+_THREADED = 4
+"""Passes of a step in which threads and what they pull at are told together."""
 _MOST_IN_STEP = 8
 """Touches and losses in a step, after which it is finished as it is."""
 _MODE_STEP = 0.5
@@ -512,6 +517,8 @@ _AGE_BY_TRIAL = _SLOTS['ageing_by_trial', 'rate']
 _FAD = _SLOTS['adhesion', 'F_ad']
 _NECKED = _SLOTS['necking', 'F_ad']
 _NECK = _SLOTS['necking', 'length']
+_STRUNG = _SLOTS['stringing', 'F_ad']
+_THREAD = _SLOTS['stringing', 'length']
 _MASS = _SLOTS['inertia', 'M']
 _KM = _SLOTS['machine_compliance', 'K_m']
 _CRACK = _SLOTS['fracture', 'share']
@@ -787,8 +794,10 @@ def _push(  # type: ignore[no-untyped-def]
     kept_e = np.zeros(1)
     path = np.zeros(3)
     timers = np.zeros(2)
-    pull_off = q[_FAD] + q[_NECKED]
+    pull_off = q[_FAD] + q[_NECKED] + q[_STRUNG]
     necks = 0.0
+    strung = q[_STRUNG] > 0.0
+    opened = 0.0
     rigid = np.isinf(q[_KM])
     contact = False
     virgin = True
@@ -817,35 +826,41 @@ def _push(  # type: ignore[no-untyped-def]
             low, high = 0.0, h
             push, force = 0.0, 0.0
             while True:
-                gap = path[0] + h * (path[1] + 0.5 * path[2] * h)
+                tip = path[0] + h * (path[1] + 0.5 * path[2] * h)
+                gap = tip
                 if not virgin:
-                    push, force = _step(
-                        q,
-                        d_ref,
-                        factor,
-                        r,
-                        w,
-                        kept,
-                        give,
-                        flow,
-                        kp,
-                        rp,
-                        kept_p,
-                        kept_e,
-                        state,
-                        h,
-                        path,
-                        contact,
-                        necks,
-                        middle,
-                        after,
-                    )
-                    gap -= after[_H]
+                    # Threads pull by how far they are drawn out in the middle of the step.
+                    for _ in range(_THREADED if strung and necks > 0.0 else 1):
+                        push, force = _step(
+                            q,
+                            d_ref,
+                            factor,
+                            r,
+                            w,
+                            kept,
+                            give,
+                            flow,
+                            kp,
+                            rp,
+                            kept_p,
+                            kept_e,
+                            state,
+                            h,
+                            path,
+                            contact,
+                            necks,
+                            middle,
+                            after,
+                        )
+                        gap = tip - after[_H]
+                        if strung and necks > 0.0:
+                            out = max(opened - gap - necks / q[_KM], 0.0)
+                            necks = q[_STRUNG] * np.exp(-0.5 * out / q[_THREAD])
                 beyond = force < -pull_off if contact else gap > 0.0
                 if necks > 0.0:
                     # What holds the tool back pulls it out of a soft arm.
                     gap += necks / q[_KM]
-                    beyond = gap > 0.0 or gap < -q[_NECK]
+                    beyond = gap > 0.0 or (gap < -q[_NECK] and not strung)
                 if not changes and not (watched and beyond):
                     break
                 # Bisection: until the end of the step is where contact changes, and just beyond.
@@ -870,7 +885,9 @@ def _push(  # type: ignore[no-untyped-def]
                 done = whole
             given += push + blow
             blow = 0.0
-            if changes and necks > 0.0 and gap < -0.5 * q[_NECK]:
+            if strung and necks > 0.0:
+                opened = max(-gap, 0.0)
+            if changes and necks > 0.0 and gap < -0.5 * q[_NECK] and not strung:
                 necks = 0.0
             elif changes:
                 contact = not contact
@@ -878,6 +895,9 @@ def _push(  # type: ignore[no-untyped-def]
                 necks = 0.0
                 if not contact and q[_NECK] > 0.0:
                     necks = q[_NECKED]
+                if not contact and strung:
+                    necks = q[_STRUNG]
+                    opened = 0.0
                 if contact:
                     if np.isnan(touch):
                         touch = grid[i] + done

@@ -233,6 +233,21 @@ def test_necks_hold_the_tool_back_until_they_are_drawn_out() -> None:
     assert away == pytest.approx(length, abs=speed * STEP)
 
 
+def test_threads_hold_the_tool_back_by_how_far_they_are_drawn_out() -> None:
+    pull_off, length = 1.5, 4e-4
+    threads = Undeclared('stringing', (pull_off, length))
+    grid = np.arange(0.0, PUSHED + HOLD + 6.0, STEP)
+    slow = motion(release=0.0012)
+    got = integrate(grid, slow, parameter_vector(BODY, [threads]))
+    tip = np.array([slow.at(got.t[k : k + 1])[0][0] for k in range(got.t.size)])
+    apart = got.surface - tip
+    after = (got.t[1:] > got.t_loss + STEP) & (apart[1:] < 6.0 * length)
+    assert np.count_nonzero(after) > 50
+    middle = 0.5 * (apart[1:] + apart[:-1])[after]
+    assert got.force[after] == pytest.approx(-pull_off * np.exp(-middle / length), rel=1e-3)
+    assert got.force.min() == pytest.approx(-pull_off, rel=0.02)
+
+
 def test_the_blow_of_a_mass_is_its_momentum() -> None:
     mass = 0.4
     with_mass = push(Undeclared('inertia', (mass,)), until=0.1)
@@ -293,6 +308,7 @@ CLEAR = {
     'ageing': (2.0,),
     'adhesion': (0.5,),
     'necking': (0.5, 3e-4),
+    'stringing': (0.5, 3e-4),
     'inertia': (0.5,),
     'machine_compliance': (2e4,),
     'poroelasticity': (300.0, 3.0),

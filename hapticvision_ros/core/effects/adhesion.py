@@ -36,6 +36,8 @@ the tool withdraws is let go several times, and the force that does so is known 
 
 _PULLED: Final = (0.6, 0.85, 0.95, 1.0, 1.05, 1.2)
 """Those of a zone that goes on to pull, whose force shows for a while."""
+_FADING: Final = (0.6, 0.8, 1.0, 1.25)
+"""Those of a zone whose pull fades as it opens."""
 _OPENINGS: Final = (0.5, 0.8, 0.93, 1.0, 1.07, 1.25, 2.0)
 """Openings of it that are tried, over the one that is seen."""
 
@@ -47,6 +49,11 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 def _zone(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.ADHESION, values[0])
     draft.add(Slot.OPENING, values[1])
+
+
+def _fading(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    draft.add(Slot.ADHESION, values[0])
+    draft.add(Slot.DECAY, values[1])
 
 
 _AT_ONCE: Final = Effect(
@@ -107,6 +114,35 @@ EFFECT = replace(
                     'delta_c',
                     'm',
                     'opening between tool and surface at which the pull ends',
+                    0.0,
+                    math.inf,
+                    lambda scale: scale.opening or 0.05 * scale.depth,
+                    scan=_OPENINGS,
+                ),
+            ),
+        ),
+        _AT_ONCE.following(
+            'fading_zone',
+            sketch="""
+    F = -F_ad exp(-g / delta_e) from where F would fall below it; g: how far tool and surface
+    are apart
+    """,
+            validity=(
+                'Threads, a liquid, or a rough and tacky contact that lets go bit by bit: a pull '
+                'that depends on how far it is drawn out and not on the speed.'
+            ),
+            source=(
+                'X.-P. Xu and A. Needleman, J. Mech. Phys. Solids 42, 1994, 1397-1434, '
+                'doi:10.1016/0022-5096(94)90003-5 (exponential law of an interface; here from its '
+                'largest traction on).'
+            ),
+            shape=_fading,
+            parameters=(
+                replace(_AT_ONCE.parameters[0], scan=_FADING),
+                EffectParameter(
+                    'delta_e',
+                    'm',
+                    'opening between tool and surface over which the pull falls to 1/e',
                     0.0,
                     math.inf,
                     lambda scale: scale.opening or 0.05 * scale.depth,

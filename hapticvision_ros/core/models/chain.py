@@ -108,6 +108,8 @@ class Slot(IntEnum):
     """M, which moves with the surface [kg]."""
     OPENING = 15
     """How far tool and surface are apart where F_ad lets go [m]; zero where it does so at once."""
+    DECAY = 16
+    """Opening over which F_ad falls to 1/e instead [m]; zero where it does not."""
 
 
 def neutral() -> FloatArray:
@@ -116,7 +118,7 @@ def neutral() -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (16,)
+    ndarray, shape (17,)
         Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
 
     """
@@ -132,7 +134,7 @@ class Chain:
 
     Parameters
     ----------
-    slots : ndarray, shape (16,)
+    slots : ndarray, shape (17,)
         One number for each `Slot`.
     unit_stiffness, unit_viscosity : ndarray, shape (n,)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
@@ -234,6 +236,7 @@ _FAD = int(Slot.ADHESION)
 _OFF = int(Slot.OFFSET)
 _MASS = int(Slot.MASS)
 _OPEN = int(Slot.OPENING)
+_DECAY = int(Slot.DECAY)
 
 _TOLERANCE = 1e-6
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
@@ -253,6 +256,8 @@ _NEAR = 5e-3
 """Relative distance within which six terms of the binomial series are exact to 1e-13."""
 _SHORTEST = 1e-6
 """Share of a step that a part of it has at least."""
+_FADED = 20.0
+"""Opening over that of its decay at which a pull has gone: two billionths are left."""
 _SAME = 1e-9
 """Relative difference between two steps that makes none."""
 _B_E, _B_FLOW, _B_END, _B_K1, _B_C0, _B_CM, _B_KP, _B_OFF, _B_MASS = range(9)
@@ -305,6 +310,35 @@ def _end_weight(r):  # type: ignore[no-untyped-def]
     left = 1.0 - gone * r
     d_gone = -kept / (r * r)
     return gone / left, (d_gone * left + gone * (d_gone * r + gone)) / (left * left)
+
+
+@kernel(error_model='numpy')
+def _held(gap, more, opening, decay):  # type: ignore[no-untyped-def]
+    """
+    Return by which part of it the pull-off force holds, in the mean over a step.
+
+    Also its derivatives in the opening where the step begins, in what opens in the step, and in
+    the length of the law; and whether the zone is still there where the step ends.
+    """
+    if decay <= 0.0:
+        if more <= 0.0:
+            return 1.0, 0.0, 0.0, 0.0, True
+        part = (opening - gap) / more
+        if part >= 1.0 or part <= 0.0:
+            return min(max(part, 0.0), 1.0), 0.0, 0.0, 0.0, part >= 1.0
+        return part, -1.0 / more, -part / more, 1.0 / more, False
+    start = gap / decay
+    turns = max(more, -gap) / decay
+    kept = np.exp(-start)
+    if abs(turns) < _NEAR:
+        mean = kept * (1.0 - turns * (0.5 - turns * (1.0 / 6.0 - turns / 24.0)))
+        slope = -kept * (0.5 - turns * (1.0 / 3.0 - turns / 8.0))
+    else:
+        left = np.exp(-turns)
+        mean = kept * (1.0 - left) / turns
+        slope = kept * (left * (1.0 + turns) - 1.0) / (turns * turns)
+    d_length = (start * mean - turns * slope) / decay
+    return mean, -mean / decay, slope / decay, d_length, gap + more < _FADED * decay
 
 
 @kernel(error_model='numpy')
@@ -463,7 +497,7 @@ def _respond(  # type: ignore[no-untyped-def]
     k1, c1, c2, f_y = q[_K1], q[_C1], q[_C2], q[_FY]
     beta, damage, d_ref = q[_BETA], q[_D], q[_DREF]
     c0, cm, kp, m = q[_C0], q[_CM], q[_KP], q[_M]
-    f_ad, offset, opening = q[_FAD], q[_OFF], q[_OPEN]
+    f_ad, offset, opening, decay = q[_FAD], q[_OFF], q[_OPEN], q[_DECAY]
     p = 1.0 / q[_N]
     plain = beta == 0.0 and damage == 0.0
     linear = plain and p == 1.0 and f_y == 0.0 and m == 0.0
@@ -551,11 +585,13 @@ def _respond(  # type: ignore[no-untyped-def]
     dzu = np.zeros((directions, units))
 
     # How far a cohesive zone is open, and how fast it opens; its mean force over a pass.
-    cohesive = opening > 0.0
+    cohesive = opening > 0.0 or decay > 0.0
     held_back = False
     gap_open = 0.0
     opens = 0.0
     tear = 0.0
+    # What it pulls with, from step to step.
+    drawn = 0.0
     d_gap_open = np.zeros(directions)
     d_opens = np.zeros(directions)
     d_tear = np.zeros(directions)
@@ -1055,9 +1091,14 @@ def _respond(  # type: ignore[no-untyped-def]
             pull = (d[i + 1] - d[i]) / h
             tear = 0.0
             torn = 1.0
+            torn_gap = 0.0
+            torn_more = 0.0
+            torn_length = 0.0
+            lasting = False
             if held_back and not touching:
-                if opens > 0.0:
-                    torn = min(max((opening - gap_open) / (opens * hs), 0.0), 1.0)
+                torn, torn_gap, torn_more, torn_length, lasting = _held(
+                    gap_open, opens * hs, opening, decay
+                )
                 tear = f_ad * torn
             lead = 0.0
             machine_lead = 0.0
@@ -1161,6 +1202,7 @@ def _respond(  # type: ignore[no-untyped-def]
                             gap_open = 0.0
                             opens = 0.0
                             d_gap_open[:] = 0.0
+                            d_opens[:] = 0.0
                             share = 1.0
                             split = False
                             rate = 0.0
@@ -1169,7 +1211,7 @@ def _respond(  # type: ignore[no-untyped-def]
                             continue
                     else:
                         probing = True
-            tip = d_end + cm * f_ad if held_back else d_end
+            tip = d_end + cm * drawn if held_back else d_end
             if stage == _LOOK and not touching and not contact and x_end < tip:
                 touching = True
                 contact = True
@@ -1238,11 +1280,10 @@ def _respond(  # type: ignore[no-untyped-def]
                         d_inert -= 2.0 * inert * per_hs * dhs
                     d_tear[j] = 0.0
                     if held_back and not touching:
-                        d_tear[j] = dq[j, _FAD] * torn
-                        if 0.0 < torn < 1.0:
-                            d_torn = (dq[j, _OPEN] - d_gap_open[j]) / (opens * hs)
-                            d_torn -= torn * (d_opens[j] / opens + dhs * per_hs)
-                            d_tear[j] += f_ad * d_torn
+                        d_torn = torn_gap * d_gap_open[j]
+                        d_torn += torn_more * (d_opens[j] * hs + opens * dhs)
+                        d_torn += torn_length * (dq[j, _OPEN] + dq[j, _DECAY])
+                        d_tear[j] = dq[j, _FAD] * torn + f_ad * d_torn
                     d_sum = dz[j] + dy[j] + dhs * flow + hs * d_flow
                     dl = 0.0
                     d_machine_lead = 0.0
@@ -1336,10 +1377,10 @@ def _respond(  # type: ignore[no-untyped-def]
                     else:
                         d_machine_force[j] = 0.0
                         if held_back:
-                            d_machine_force[j] = -dq[j, _FAD]
+                            d_machine_force[j] = -d_tear[j]
                             d_force[j, i] -= d_tear[j] * (hs / h) + tear * dhs / h
-                            d_gap = dx[j] - dq[j, _OFF] - cm * dq[j, _FAD] - dq[j, _CM] * f_ad
-                            wider = (x_end - d_end - cm * f_ad - gap_open) * per_hs
+                            d_gap = dx[j] - dq[j, _OFF] - cm * d_tear[j] - dq[j, _CM] * tear
+                            wider = (x_end - d_end - cm * tear - gap_open) * per_hs
                             d_opens[j] = (d_gap - d_gap_open[j] - wider * dhs) * per_hs
                             d_gap_open[j] = d_gap
                     d_surface[j, i + 1] = dx[j]
@@ -1373,6 +1414,7 @@ def _respond(  # type: ignore[no-untyped-def]
                     gap_open = 0.0
                     opens = 0.0
                     d_gap_open[:] = 0.0
+                    d_opens[:] = 0.0
                     rate = 0.0
                     rate_before = 0.0
                     stage = _SURE
@@ -1409,11 +1451,12 @@ def _respond(  # type: ignore[no-untyped-def]
                 if held_back:
                     force[i] -= tear * (hs / h)
                     # A tool that is held back is off by what its arm gives.
-                    gap = x_end - d_end - cm * f_ad
+                    gap = x_end - d_end - cm * tear
                     opens = (gap - gap_open) / hs
                     gap_open = gap
-                    held_back = torn == 1.0
-                    machine_force = -f_ad if held_back else 0.0
+                    held_back = lasting
+                    drawn = tear
+                    machine_force = -tear if held_back else 0.0
             x = x_end
             surface[i + 1] = x_end
             contact = touching
@@ -1428,6 +1471,7 @@ def _respond(  # type: ignore[no-untyped-def]
             gap_open = 0.0
             opens = 0.0
             d_gap_open[:] = 0.0
+            d_opens[:] = 0.0
             contact = True
             rate = 0.0
             rate_before = 0.0

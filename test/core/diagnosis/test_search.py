@@ -167,6 +167,7 @@ def test_other_laws_are_looked_for_where_the_usual_ones_find_nothing(noise_only:
         (Undeclared('loose_top', (3e-4,)), 18, 'contact_offset:loose_top'),
         (Undeclared('ageing', (8.0,)), 15, 'ageing:within_trials'),
         (Undeclared('necking', (0.3, 4e-4)), 19, 'adhesion:cohesive_zone'),
+        (Undeclared('stringing', (0.3, 4e-4)), 19, 'adhesion:fading_zone'),
     ],
     ids=lambda value: getattr(value, 'name', ''),
 )

@@ -72,6 +72,7 @@ STRONG = {
     'b': 4e-4,
     'F_ad': 0.5,
     'delta_c': 2e-4,
+    'delta_e': 2e-4,
     'T_f': 0.05,
 }
 """Strengths where the first guess is the absence."""
