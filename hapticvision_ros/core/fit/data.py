@@ -92,8 +92,11 @@ _AS_USUAL: Final = 3.0
 to the next, over the usual ones there, that are none of a glitch."""
 _IN_AIR: Final = 5.0
 _IN_CONTACT: Final = 10.0
-_CLEAR_TOUCH: Final = 60.0
+_CLEAR_TOUCH: Final = 40.0
 """Force over its noise below and above which it is none and one, and which tells a touch well."""
+_TWICE: Final = 0.4
+"""Part of the readings in the air that are as those before them, from which on each is told
+twice, or so coarse that it might be."""
 _BEFORE_TOUCH: Final = 4
 """Readings in the air before a touch."""
 _RAMP: Final = 0.2
@@ -917,6 +920,8 @@ def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool
         return np.empty(0), []
     free = np.abs(value) < _IN_AIR * noise
     pressed = value > _IN_CONTACT * noise
+    # Of readings that are rounded some are alike by chance.
+    twice = rounding(force.value) == 0.0 or float(np.mean(np.diff(air) == 0.0)) > _TWICE
     # A tool was in the air for some readings, and presses for some: one that is lost is neither.
     since = np.arange(_BEFORE_TOUCH - 1, value.size - 3)
     starts = pressed[since + 1] & pressed[since + 2] & pressed[since + 3]
@@ -928,7 +933,7 @@ def _touches(force: Signal, phases: Segmentation) -> tuple[FloatArray, list[bool
         first, second, later = (float(value[k + after]) for after in (1, 2, 3))
         lacks = (second - first) - (later - second)
         jump = first + max(lacks, 0.0)
-        if later - second > _RAMP * jump or first == second:
+        if later - second > _RAMP * jump or (twice and first == second):
             # A force that rises from nothing, or a reading that is told twice.
             continue
         times += [float(force.t[k]), float(force.t[k + 1])]

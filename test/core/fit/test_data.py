@@ -668,14 +668,16 @@ def test_a_change_of_speed_in_few_samples_is_taken_for_what_it_nearly_is(interva
     assert np.abs(there + turned.bend.beyond(fine[near]) - way[near]).max() < 2e-6
 
 
-def _touching(sampled: str, seeds: int = 6) -> list[tuple[Trial, Segmentation]]:
+def _touching(
+    sampled: str, seeds: int = 6, slope: float = 0.9
+) -> list[tuple[Trial, Segmentation]]:
     """Return trials whose force jumps by 0.6 N where the tool touches, between two readings."""
     pairs = []
     for seed in range(seeds):
         random = np.random.default_rng(seed)
         t = np.arange(0.0, 20.0, 0.01) + 0.01 * random.uniform()
         fine = t[:, np.newaxis] + (0.01 * (np.arange(20) - 9.5) / 20 if sampled == 'mean' else 0.0)
-        force = np.where(fine > 1.0, np.minimum(0.6 + 0.9 * (fine - 1.0), 2.4), 0.0)
+        force = np.where(fine > 1.0, np.minimum(0.6 + slope * (fine - 1.0), 2.4), 0.0)
         force[(fine > 3.0) & (fine < 13.0)] = 1.8
         force[fine > 13.0] = 0.0
         read = force.mean(axis=1) + 0.003 * random.standard_normal(t.size)
@@ -698,6 +700,26 @@ def test_readings_of_a_moment_do_not_tell_when_a_tool_touches() -> None:
         assert middle[~trial.samples.good] == pytest.approx(measured.force.t[beside], abs=1e-9)
         # None of them stands out.
         assert trial.set_aside.size == 0
+
+
+def _read(sampled: str, step: float, times: int) -> list[tuple[Trial, Segmentation]]:
+    """Return touches of a load cell that rounds and whose readings are told several times."""
+    pairs = []
+    for trial, phases in _touching(sampled, seeds=4, slope=0.05):
+        value = trial.force.value.copy()
+        if step:
+            value = step * np.round(value / step)
+        value = np.repeat(value[::times], times)[: value.size]
+        pairs.append((replace(trial, force=Signal(trial.force.t, value)), phases))
+    return pairs
+
+
+@pytest.mark.parametrize('step', [0.0, 0.002, 0.004])
+def test_rounded_readings_that_are_alike_by_chance_are_told_once(step: float) -> None:
+    assert reads_at_moments(_read('moment', step, 1))
+    assert not reads_at_moments(_read('mean', step, 1))
+    # What is told twice is whole at once, however it was read.
+    assert not reads_at_moments(_read('mean', step, 2))
 
 
 def test_means_over_a_sample_tell_when_a_tool_touches() -> None:
@@ -737,7 +759,7 @@ def test_readings_that_are_lost_or_odd_are_no_touches() -> None:
         value[np.searchsorted(trial.force.t, 6.0)] = 0.0
         value[np.searchsorted(trial.force.t, 16.0)] = 1.0
         # No touch is told well.
-        value[trial.force.t < 1.2] = np.random.default_rng(1).normal(0.0, 0.02, value.size)[
+        value[trial.force.t < 1.2] = np.random.default_rng(1).normal(0.0, 0.03, value.size)[
             trial.force.t < 1.2
         ]
         pairs.append((replace(trial, force=Signal(trial.force.t, value)), phases))
