@@ -20,6 +20,7 @@ import math
 import re
 from typing import Any
 
+from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.search import _contenders, _parted, choose_again, diagnose
@@ -153,6 +154,28 @@ def test_other_laws_are_looked_for_where_the_usual_ones_find_nothing(noise_only:
     found = diagnose(noise_only.pairs, progress=told.append)
     assert found.status == 'none'
     assert 'trying friction:in_contact' in told
+
+
+@pytest.mark.parametrize(
+    ('known', 'better', 'taken'),
+    [
+        ('yield_force', 15.0, True),
+        ('arm_clock_offset', 15.0, False),
+        ('arm_clock_offset', 25.0, True),
+    ],
+)
+def test_another_law_must_show_an_effect_where_late_stamps_leave_none(
+    known: str, better: float, taken: bool, noise_only: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, refit = noise_only.bench()
+    chosen = replace(refit, model=Model((known,)))
+    other = replace(refit, model=Model(('inertia:added',)), deviance=refit.deviance - better)
+    rounds = (Round(refit, (), (known,)),)
+    again = (other, rounds, other.model.effects)
+    monkeypatch.setattr(search._Search, '_select', lambda *_: again)
+    looking = object.__new__(search._Search)
+    found = looking._further(bench, chosen, rounds, (known,), ['inertia:added'])
+    assert found == (again if taken else (chosen, rounds, (known,)))
 
 
 @pytest.mark.parametrize(
