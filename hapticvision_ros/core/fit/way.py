@@ -32,6 +32,8 @@ import numpy as np
 
 _BETWEEN: Final = 0.25
 """Interval between two knots, over one over the bandwidth [rad]."""
+_CHORD: Final = 0.1
+"""How far the way may be off between two knots, over the noise of a sample."""
 _CALM: Final = 0.75
 """Part of the interval of a part that shows no jerk, from which on the way is as in one."""
 _MOST_PARTS: Final = 8
@@ -107,7 +109,7 @@ def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
             break
         found, left = cleaned, left - ripple.at(t)
         ripples.append(ripple)
-    knots, levels = _knots(t, found, ripples)
+    knots, levels = _knots(t, found, ripples, noise)
     for ripple in ripples:
         levels += ripple.at(knots)
     still = _CALM * _BETWEEN / calm(usual_interval(t))
@@ -119,12 +121,19 @@ def _cost(way: tuple[Smoothed, Ripple]) -> float:
 
 
 def _knots(
-    t: FloatArray, found: Smoothed, ripples: Sequence[Ripple]
+    t: FloatArray, found: Smoothed, ripples: Sequence[Ripple], noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return knots as dense as the bandwidths ask for, on a cubic between the samples."""
+    """
+    Return knots as dense as bandwidths and accelerations ask for, on a cubic between the samples.
+
+    An even acceleration shows no jerk, and is not straight.
+    """
     state, speed, bandwidth, _ = found
     steps = np.diff(t)
     wide = np.maximum(bandwidth[1:], bandwidth[:-1])
+    # A chord is off its parabola by an eighth of the acceleration and the square of its time.
+    bent = np.abs(np.diff(speed)) / steps
+    wide = np.maximum(wide, _BETWEEN * np.sqrt(bent / (8.0 * _CHORD * noise)))
     for ripple in ripples:
         wide = np.maximum(wide, _FINE * ripple.rate)
     parts = np.clip(np.ceil(steps * wide / _BETWEEN), 1, _MOST_PARTS).astype(np.intp)

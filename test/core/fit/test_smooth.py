@@ -111,6 +111,25 @@ def test_a_tool_that_ripples_is_followed_far_better_than_its_encoders_tell(
     assert np.std(path.at(held) - true(held, ripple)) < off
 
 
+def test_an_even_acceleration_has_no_jerk_and_is_not_straight() -> None:
+    """A tool whose acceleration and slowing take all of a way of 3.6 mm."""
+    t = np.arange(0.0, 3.0, 0.005)
+    fine = np.arange(0.0, 3.0, 1e-3)
+
+    def true(moments: np.ndarray) -> np.ndarray:
+        grid = np.arange(0.0, 3.0, 1e-4)
+        speed = 0.02 * np.clip(0.6 - np.abs(grid - 1.6), 0.0, None)
+        return np.interp(moments, grid, np.cumsum(speed) * 1e-4)
+
+    value = true(t) + 1e-6 * np.random.default_rng(3).standard_normal(t.size)
+    way = smooth(t, value, 1e-6)
+    missed = np.interp(fine, way.t, way.value) - true(fine)
+    assert np.abs(missed).max() < 2e-6
+    assert np.std(np.gradient(missed, fine)[(fine > 1.1) & (fine < 2.1)]) < 1e-4
+    # Where it is at rest few knots are enough.
+    assert np.count_nonzero(way.t < 0.7) < 10
+
+
 def test_a_ripple_in_time_rests_with_the_tool_and_one_in_place_does_not() -> None:
     t = np.arange(0.0, 20.0, 0.002)
     for true, rests in ((_rippling, True), (_toothed, False)):
