@@ -54,8 +54,8 @@ RATE: Final = 1000.0
 _COUNTED_FROM_DEPTH: Final = ('damage', 'contact_growth')
 
 _Z, _Y, _X, _Z_MAX, _SPEED, _CHAIN_FORCE, _MEAN, _TOOL, _RATE, _RATE_BEFORE = range(10)
-_CONTACT, _VIRGIN, _STEADY, _HELD_BACK, _GAP, _OPENS = range(10, 16)
-_FLOW_SERIES = 16
+_CONTACT, _VIRGIN, _STEADY, _HELD_BACK, _GAP, _OPENS, _PULL = range(10, 17)
+_FLOW_SERIES = 17
 _GROWTH_SERIES = _FLOW_SERIES + 8
 _STATES = _GROWTH_SERIES + 8
 """Powers of the flow unit and of the contact; then the further units' stretches."""
@@ -144,7 +144,9 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
             share = max(d_end / (d_end - d_start), _SHORTEST)
             split = share > _SHORTEST
     stage = _LOOK
-    if held_back and opens < 0.0 and gap < -opens * h * (1.0 - _SHORTEST):
+    if held_back:
+        opens += state[_PULL] - (d_end - d_start) / h
+    if held_back and 0.0 < gap < -opens * h * (1.0 - _SHORTEST):
         stage = _CAUGHT
         share = max(gap / (-opens * h), _SHORTEST)
     force = 0.0
@@ -313,7 +315,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     state[_RATE], state[_RATE_BEFORE] = rate, rate_before
     state[_CONTACT] = 1.0 if contact else 0.0
     state[_HELD_BACK] = 1.0 if held_back else 0.0
-    state[_GAP], state[_OPENS] = gap, opens
+    state[_GAP], state[_OPENS], state[_PULL] = gap, opens, (d_end - d_start) / h
     state[_MEAN] = force
     # Within the step in which the touch ends the rule may pull by some thousandths of the peak.
     force = max(force, -f_ad)

@@ -46,8 +46,8 @@ continuous and differentiable functions of the contact offset, the pull-off forc
 The loss is where a straight line through the force meets the pull-off force, and earlier where
 the chain relaxes so fast within the step that the part up to there would pull on average. A tool
 that does not withdraw is left by no force that only relaxes. A cohesive zone goes on to pull at
-the surface, with the pull-off force, until it has opened; where that ends within a step follows
-from how fast it opened in the step before.
+the surface, with the pull-off force, until it has opened, or less as it opens; by how much it does
+so within a step follows from how fast the surface went in the step before.
 The mass M takes the tool's speed at the touch and, once free, swings on the chain until the tool
 meets it again; a corner of the tool's path is passed within one step, over which the load cell
 averages the blow.
@@ -328,7 +328,9 @@ def _held(gap, more, opening, decay):  # type: ignore[no-untyped-def]
             return min(max(part, 0.0), 1.0), 0.0, 0.0, 0.0, part >= 1.0
         return part, -1.0 / more, -part / more, 1.0 / more, False
     start = gap / decay
-    turns = max(more, -gap) / decay
+    if start > _FADED:
+        return 0.0, 0.0, 0.0, 0.0, False
+    turns = more / decay
     kept = np.exp(-start)
     if abs(turns) < _NEAR:
         mean = kept * (1.0 - turns * (0.5 - turns * (1.0 / 6.0 - turns / 24.0)))
@@ -1033,7 +1035,10 @@ def _respond(  # type: ignore[no-untyped-def]
         if contact:
             last = force[i - 1]
         stage = _LOOK
-        if held_back and opens < 0.0 and gap_open < -opens * h * (1.0 - _SHORTEST):
+        if held_back:
+            # The surface goes on as it did, and the tool as is known.
+            opens += (d[i] - d[i - 1]) / (t[i] - t[i - 1]) - (d[i + 1] - d[i]) / h
+        if held_back and 0.0 < gap_open < -opens * h * (1.0 - _SHORTEST):
             # The tool and what it is held by meet within the step.
             stage = _CAUGHT
             share = max(gap_open / (-opens * h), _SHORTEST)

@@ -295,8 +295,7 @@ def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(body: Body)
     slots = [Slot.K1, Slot.C2, Slot.ADHESION, *([Slot.DECAY] if body.delta_e else [])]
     directions = tuple(Chain(np.eye(len(Slot))[slot], NONE, NONE) for slot in slots)
     found = respond(t, displacement, body.chain(), directions)
-    # At a corner of the tool's path a zone that fades opens as it did one step before.
-    assert np.abs(found.force - force).max() < (1e-3 if body.delta_e else 2e-4)
+    assert np.abs(found.force - force).max() < (3e-4 if body.delta_e else 2e-4)
     for slot, tangent in zip(slots, found.force_tangent, strict=True):
         step = 1e-6 * body.chain().slots[slot]
         sides = []
@@ -306,6 +305,36 @@ def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(body: Body)
             sides.append(respond(t, displacement, chain).force)
         slope = (sides[1] - sides[0]) / (2.0 * step)
         assert tangent == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize('body', [Body(F_ad=1.0, delta_c=3e-3), Body(F_ad=1.0, delta_e=1.5e-3)])
+@pytest.mark.parametrize('h', [0.01, 0.02])
+def test_a_tool_that_turns_back_before_it_meets_what_holds_it_goes_free(
+    body: Body, h: float
+) -> None:
+    t = np.arange(0.0, 5.4, h)
+    for top in np.linspace(3e-3, 7e-3, 41):
+        knot_d = [-1e-3, 8e-3, 8e-3, 3e-3, float(top), -5e-3]
+        found = respond(t, np.interp(t, [0.0, 2.0, 3.0, 3.8, 4.4, 5.4], knot_d), body.chain())
+        assert found.force.min() > -1.05 * body.F_ad
+
+
+def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
+    knot_t = [0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]
+    t = np.arange(0.0, 8.0, 0.01)
+    d = np.interp(t, knot_t, np.array([-1.0, 8.0, 8.0, 3.0, 8.0, 8.0, -4.0]) * 1e-3)
+    body = Body(F_ad=3.0, delta_e=3e-4)
+    for slot in (Slot.K1, Slot.ADHESION, Slot.DECAY):
+        direction = Chain(np.eye(len(Slot))[slot], NONE, NONE)
+        found = respond(t, d, body.chain(), (direction,)).force_tangent[0]
+        step = 1e-6 * body.chain().slots[slot]
+        sides = []
+        for sign in (-1.0, 1.0):
+            chain = body.chain()
+            chain.slots[slot] += sign * step
+            sides.append(respond(t, d, chain).force)
+        slope = (sides[1] - sides[0]) / (2.0 * step)
+        assert found == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
 
 def test_a_thinning_that_is_none_yet_has_its_derivative() -> None:
