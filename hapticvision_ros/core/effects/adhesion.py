@@ -129,8 +129,8 @@ EFFECT = replace(
     """,
             validity=(
                 'Threads, a liquid, or a rough and tacky contact that lets go bit by bit: a pull '
-                'that depends on how far it is drawn out and not on the speed; what has come apart '
-                'by twenty times delta_e does not hold again.'
+                'that depends on how far it is drawn out and not on the speed; what came apart by '
+                'twenty times delta_e does not hold again.'
             ),
             source=(
                 'X.-P. Xu and A. Needleman, J. Mech. Phys. Solids 42, 1994, 1397-1434, '

@@ -132,6 +132,8 @@ _FOLLOWED: Final = 4.0
 """Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
+_UNBENT: Final = 2
+"""How many more there may be before shapes take the place of those of slow changes of speed."""
 _MOST_WAYS: Final = 16
 """Times there and back that count for these."""
 _WAY: Final = 0.05
@@ -1444,9 +1446,11 @@ def _path(
         # A campaign's paths are made several times, for arms that change their speed otherwise.
         noise = _as_exact(t.tobytes(), value.tobytes(), noise, depth, tuple(events), touch)
     found = _closely(t, value, events, noise, servo, touch)
-    if found is None or _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
+    if found is None:
         first, last = near
         found = _closely(t[first:last], value[first:last], events, noise, servo, touch)
+    elif _above(t[near[0]], t[near[1] - 1], found[0]) > _MOST_IN_AIR:
+        first, last, found = _without_air(t, found, near)
     # The arm is told by its changes of speed, also where another way follows the samples better.
     told = [] if found is None else found[2]
     still = math.inf
@@ -1580,6 +1584,25 @@ def _rest(
     return Rest(stop.bend.t, coarse / math.sqrt(3.0))
 
 
+def _without_air(
+    t: FloatArray,
+    found: tuple[FloatArray, FloatArray, list[_Turned]],
+    near: tuple[int, int],
+) -> tuple[int, int, tuple[FloatArray, FloatArray, list[_Turned]]]:
+    """Return the part of a path near the object, with all of the changes of speed in it."""
+    knots, levels, turns = found
+    first, last = near
+    kept = [turn for turn in turns if turn.bend.stop > t[first] and turn.bend.start < t[last - 1]]
+    if kept:
+        first = min(first, int(np.searchsorted(t, min(turn.bend.start for turn in kept))) - 1)
+        last = max(last, int(np.searchsorted(t, max(turn.bend.stop for turn in kept))) + 1)
+    first, last = max(first, 0), min(last, t.size)
+    inside = (knots > t[first]) & (knots < t[last - 1])
+    ends = t[[first, last - 1]]
+    made = np.concatenate((ends[:1], knots[inside], ends[1:]))
+    return first, last, (made, np.interp(made, knots, levels), kept)
+
+
 def _above(start: float, stop: float, knots: FloatArray) -> int:
     """Return how many corners a path has before a time and after another."""
     return int(np.count_nonzero((knots < start) | (knots > stop)))
@@ -1598,13 +1621,15 @@ def _closely(
         return *_thinned(*_curved(t, value)), []
     breaks = sorted({b for b in events if t[1] < b < t[-2]})
     most = _MOST_PIECES * _ways(value)
-    pieces = _pieces(t, value, breaks, noise, most)
+    pieces = _pieces(t, value, breaks, noise, _UNBENT * most)
     knots, levels = _levels(t, value, _meet(t, value, pieces, noise))
     knots, levels = _followed(t, value, knots, levels, noise, most)
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
     found = None
-    if knots.size <= most:
+    if knots.size <= _UNBENT * most:
         found = _bent(t, value, knots, levels, noise, coarse, servo, touch)
+        if found[0].size > most:
+            found = None
     loose = math.inf if found is None else _loose(found)
     if loose > 0 and coarse == 0.0 and noise <= _EXACT[-1] * float(value.max()):
         other = _between_lines(t, value, noise, servo, touch)
@@ -1833,12 +1858,18 @@ def _bend(
     lines = []
     variance = 0.0
     rest = -1
-    before = start - margin
-    is_short = np.count_nonzero((t >= left) & (t <= before)) < edge
-    if is_short:
-        # An arm is straight until it begins to change its speed: of a quick push that is little.
+    before, after = start - margin, stop + margin
+    is_short = [
+        np.count_nonzero((t >= first) & (t <= last)) < edge
+        for first, last in ((left, before), (after, right))
+    ]
+    # An arm is straight until it begins to change its speed: of a quick push that is little, and
+    # of a way on which it takes long to come to its speed.
+    if is_short[0]:
         before = start - edge * step
-    for k, (first, last) in enumerate(((left, before), (stop + margin, right))):
+    if is_short[1]:
+        after = stop + edge * step
+    for k, (first, last) in enumerate(((left, before), (after, right))):
         inside = (t >= first) & (t <= last)
         if np.count_nonzero(inside) < edge:
             return None
@@ -1851,10 +1882,10 @@ def _bend(
         # Of a line at its end, or of a rest at any place within a step of the encoders.
         count = np.count_nonzero(inside)
         variance += coarse**2 / 12.0 if rest == k else 4.0 * noise**2 / count
-        if k == 0 and is_short and rest != k:
+        if is_short[k] and rest != k:
             # The lines meet beyond where the short one ends.
             away = t[inside] - float(t[inside].mean())
-            ahead = start - float(t[inside].mean()) + 0.5 * (stop - start)
+            ahead = 0.5 * (start + stop) - float(t[inside].mean())
             variance += noise**2 * ahead**2 / float(away @ away)
     if lines[0][1] == lines[1][1]:
         return None

@@ -668,6 +668,47 @@ def test_a_change_of_speed_in_few_samples_is_taken_for_what_it_nearly_is(interva
     assert np.abs(there + turned.bend.beyond(fine[near]) - way[near]).max() < 2e-6
 
 
+def _slowly(t: np.ndarray, changes: list[tuple[float, float, float]], end: float) -> np.ndarray:
+    """Return a way of even accelerations: when each is half over [s], its turn, how long."""
+    fine = np.arange(0.0, end, 1e-4)
+    speed = np.zeros(fine.size)
+    for at, turn, lasts in changes:
+        speed += turn * np.clip((fine - at) / lasts + 0.5, 0.0, 1.0)
+    return np.interp(t, fine, np.cumsum(speed) * 1e-4)
+
+
+def test_a_way_that_is_mostly_accelerations_is_followed_by_them() -> None:
+    """It goes evenly for 0.25 s only, between two accelerations of 0.38 s."""
+    changes = [(1.0, 0.003, 0.06), (3.0, -0.003, 0.06), (6.0, -0.02, 0.38), (6.63, 0.02, 0.38)]
+    t = np.arange(0.003, 9.0, 0.009)
+    way = _slowly(t, changes, 9.0) - 0.0006
+    read = way + 1e-6 * np.random.default_rng(2).standard_normal(t.size)
+    phases = replace(PHASES, t_contact=1.2, t_hold=3.0, t_release=5.81, t_loss=5.9, t_end=9.0)
+    path = tool_path(Signal(t, np.round(read / 1e-6) * 1e-6), phases)
+    ramps = [bend.shape.duration for bend in path.bends if bend.t > 5.0]
+    assert ramps == pytest.approx([0.38, 0.38], rel=0.02)
+    near = (t > 0.9) & (t < 6.4)
+    assert np.abs(path.at(t) - way)[near].max() < 2e-6
+
+
+def test_slow_changes_of_speed_in_the_air_do_not_hide_those_on_the_object() -> None:
+    """An approach by 67 mm with a stop on the way, all of it in accelerations of 0.9 s."""
+    there = [(1.5, 0.02, 0.95), (3.2, -0.02, 0.95), (4.15, 0.0188, 0.89), (6.3, -0.0188, 0.89)]
+    back = [(19.2, -0.02, 0.95), (22.9, 0.02, 0.95)]
+    t = np.arange(0.007, 27.0, 0.01)
+    way = _slowly(t, there + back, 27.0)
+    way += 0.0074 - way[t > 10.0][0]
+    read = way + 1e-6 * np.random.default_rng(5).standard_normal(t.size)
+    touch = float(t[np.argmax(way > 0.0)])
+    phases = replace(
+        PHASES, t_contact=touch, t_hold=6.75, t_release=18.75, t_loss=18.76, t_end=27.0
+    )
+    path = tool_path(Signal(t, np.round(read / 1e-6) * 1e-6), phases)
+    assert [bend.shape.duration for bend in path.bends] == pytest.approx([0.89, 0.95], rel=0.02)
+    near = (t > touch - 0.05) & (t < 19.5)
+    assert np.abs(path.at(t) - way)[near].max() < 2.5e-6
+
+
 def _touching(
     sampled: str, seeds: int = 6, slope: float = 0.9
 ) -> list[tuple[Trial, Segmentation]]:
