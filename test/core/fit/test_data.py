@@ -710,7 +710,7 @@ def test_slow_changes_of_speed_in_the_air_do_not_hide_those_on_the_object() -> N
 
 
 def _touching(
-    sampled: str, seeds: int = 6, slope: float = 0.9
+    sampled: str, seeds: int = 6, slope: float = 0.9, noise: float = 0.003
 ) -> list[tuple[Trial, Segmentation]]:
     """Return trials whose force jumps by 0.6 N where the tool touches, between two readings."""
     pairs = []
@@ -721,7 +721,7 @@ def _touching(
         force = np.where(fine > 1.0, np.minimum(0.6 + slope * (fine - 1.0), 2.4), 0.0)
         force[(fine > 3.0) & (fine < 13.0)] = 1.8
         force[fine > 13.0] = 0.0
-        read = force.mean(axis=1) + 0.003 * random.standard_normal(t.size)
+        read = force.mean(axis=1) + noise * random.standard_normal(t.size)
         tool_t = np.arange(0.0, 20.0, 0.004)
         tool = Signal(tool_t, 0.04 - _tool(tool_t, CORNERS, DEPTHS))
         height_t = np.arange(0.0, 20.0, 0.02)
@@ -766,6 +766,11 @@ def test_rounded_readings_that_are_alike_by_chance_are_told_once(step: float) ->
 def test_means_over_a_sample_tell_when_a_tool_touches() -> None:
     made, _ = prepare(_touching('mean'))
     assert all(trial is not None and trial.samples.good.all() for trial in made)
+
+
+def test_touches_tell_that_are_fifty_times_as_loud_as_the_noise() -> None:
+    assert reads_at_moments(_touching('moment', noise=0.012))
+    assert not reads_at_moments(_touching('mean', noise=0.012))
 
 
 def test_two_touches_do_not_tell_how_the_force_is_read() -> None:
