@@ -80,6 +80,8 @@ BEGIN, END = '<!-- tables of bench/bench_attribution.py -->', '<!-- end of the t
 CLOUD = CloudPlan(80, 60, 3e-4)
 """Pixels, and the noise of their depth [m], of campaigns with clouds; at this rate [Hz]:"""
 CLOUD_RATE = 5.0
+SLOW = (0.01, 0.3)
+"""Accelerations of slow arms [m/s^2]."""
 NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
@@ -121,14 +123,22 @@ def grid_campaign(seed: int, scatter: float) -> Campaign:
     )
 
 
-def make(world: str, seed: int, scatter: float, *, clouds: bool = False) -> Campaign:
+def make(
+    world: str, seed: int, scatter: float, *, clouds: bool = False, slow: bool = False
+) -> Campaign:
     """Return a campaign of one of the worlds."""
     if world == 'grid':
         campaign = grid_campaign(seed, scatter)
-        if not clouds:
-            return campaign
-        return replace(campaign, sensors=replace(campaign.sensors, height_rate=CLOUD_RATE))
-    return random_campaign(seed, scatter=scatter, longest=30.0)
+        if clouds:
+            sensors = replace(campaign.sensors, height_rate=CLOUD_RATE)
+            campaign = replace(campaign, sensors=sensors)
+    else:
+        campaign = random_campaign(seed, scatter=scatter, longest=30.0)
+    if slow:
+        part = np.random.default_rng((seed, 77)).uniform()
+        acceleration = SLOW[0] * (SLOW[1] / SLOW[0]) ** part
+        campaign = replace(campaign, acceleration=acceleration)
+    return campaign
 
 
 class BaseMisfit:
@@ -213,7 +223,8 @@ def fitted_strength(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, names = task['seed'], task['effects']
-    campaign = make(task['world'], seed, task['scatter'], clouds=task['clouds'])
+    kinds = {'clouds': task['clouds'], 'slow': task.get('slow', False)}
+    campaign = make(task['world'], seed, task['scatter'], **kinds)
     shape = float(np.random.default_rng((seed, 5)).uniform())
     result = dict(task)
     acting = list[Undeclared]()
@@ -299,6 +310,8 @@ PLAN = (
 def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the cases that are asked for."""
     common = {'world': args.world, 'scatter': args.scatter, 'clouds': args.clouds}
+    if args.slow:
+        common['slow'] = True
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effects': [], 'r': 0.0}
     every = OTHER_LAWS if args.laws else OUTSIDE if args.outside else LIBRARY
@@ -317,7 +330,8 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
-    return json.dumps([task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')])
+    case = [task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')]
+    return json.dumps([*case, task.get('slow', False)])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -327,6 +341,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--world', choices=('grid', 'random'), default='grid')
     made.add_argument('--scatter', type=float, default=0.0, help='of K1, C1, C2, such as 0.02')
     made.add_argument('--clouds', action='store_true', help='through bags with clouds (grid)')
+    made.add_argument('--slow', action='store_true', help='arms of 0.01 to 0.3 m/s^2')
     made.add_argument('--none', type=int, default=0, help='campaigns without an effect')
     made.add_argument('--seeds', type=int, default=0, help='campaigns an effect')
     made.add_argument('--first', type=int, default=0, help='first seed')
@@ -442,7 +457,8 @@ def rates(results: list[dict[str, Any]]) -> list[str]:
     ]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for r in results:
-        groups.setdefault((r['world'], r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
+        world = f'{r["world"]}, slow arms' if r.get('slow') else r['world']
+        groups.setdefault((world, r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
     for (world, clouds, scatter, what, size), of in sorted(groups.items()):
         singles = [each[0] in names(r) for r in of for each in r['sets'] if len(each) == 1]
         traced = what in ('one', 'pair', LAW)
@@ -557,7 +573,10 @@ def summary(results: list[dict[str, Any]]) -> str:
     """Return the tables in Markdown."""
     failed = sum('error' in r for r in results)
     results = [r for r in results if 'skipped' not in r and 'error' not in r]
-    plain = [r for r in results if r['world'] == 'grid' and not r['scatter'] and not r['clouds']]
+    others = ('scatter', 'clouds', 'slow')
+    plain = [
+        r for r in results if r['world'] == 'grid' and not any(r.get(each) for each in others)
+    ]
     parts = [[f'{len(results)} campaigns, {failed} failures.'], rates(results)]
     parts += [
         confusion(plain, r) for r in (0.1, 0.3, 1.0) if any(each['r'] == r for each in plain)
