@@ -214,6 +214,8 @@ _FORM: Final = 1e-4
 """What its form may be off by otherwise, over the way in it."""
 _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
+_CLOSELY: Final = 1.2
+"""The same where little is straight after it."""
 _DURATIONS: Final = 17
 _SOFT: Final = (0.0, 0.5, 1.0)
 """Parts of how long an acceleration lasts, over which it comes and goes, that are tried."""
@@ -1895,7 +1897,8 @@ def _bend(
     if np.count_nonzero(chosen) < (1 if edge else _FEWEST_ON_LINE):
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
-    enough = _FOLLOWS**2 * corner.t.size * noise**2
+    # Where little is straight after it, a shape takes the place of corners of other ways easily.
+    enough = (_CLOSELY if is_short[1] else _FOLLOWS) ** 2 * corner.t.size * noise**2
     if servo is None:
         shape, shift = _shape_of(corner, 4.0 * margin, enough)
     else:
