@@ -239,7 +239,7 @@ def test_threads_hold_the_tool_back_by_how_far_they_are_drawn_out() -> None:
     grid = np.arange(0.0, PUSHED + HOLD + 6.0, STEP)
     slow = motion(release=0.0012)
     got = integrate(grid, slow, parameter_vector(BODY, [threads]))
-    tip = np.array([slow.at(got.t[k : k + 1])[0][0] for k in range(got.t.size)])
+    tip = np.array([slow.at(np.array([each]))[0][0] for each in got.t.tolist()])
     apart = got.surface - tip
     after = (got.t[1:] > got.t_loss + STEP) & (apart[1:] < 6.0 * length)
     assert np.count_nonzero(after) > 50
