@@ -134,6 +134,10 @@ _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
 _UNBENT: Final = 2
 """How many more there may be before shapes take the place of those of slow changes of speed."""
+_FEWEST_OF_A_RAMP: Final = 3
+"""Corners of one change of speed that are followed by corners at first."""
+_TO_AND_FRO: Final = 0.4
+"""Part of the corners of a way that ripples at which its speed changes the other way at least."""
 _MOST_WAYS: Final = 16
 """Times there and back that count for these."""
 _WAY: Final = 0.05
@@ -1628,7 +1632,7 @@ def _closely(
     knots, levels = _followed(t, value, knots, levels, noise, most)
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
     found = None
-    if knots.size <= _UNBENT * most:
+    if knots.size <= most or (knots.size <= _UNBENT * most and _goes_by_ramps(knots, levels)):
         found = _bent(t, value, knots, levels, noise, coarse, servo, touch)
         if found[0].size > most:
             found = None
@@ -1638,6 +1642,12 @@ def _closely(
         if other is not None and (found is None or _timed(other) >= _timed(found)):
             return other
     return found
+
+
+def _goes_by_ramps(knots: FloatArray, levels: FloatArray) -> bool:
+    """Return whether the speed changes the same way at most corners as at those before them."""
+    faster = np.diff(np.diff(levels) / np.diff(knots)) > 0.0
+    return bool(np.count_nonzero(faster[1:] != faster[:-1]) < _TO_AND_FRO * faster.size)
 
 
 def _ways(value: FloatArray) -> int:
@@ -1785,9 +1795,11 @@ def _bent(
             for k in (group[0] - 1, group[-1])
         ]
         mine = servo if _may_last_until(servo, slopes, around[2], touch) else None
+        beside = slice(group[0] - 1, group[-1] + 2)
+        ramp = len(group) >= _FEWEST_OF_A_RAMP and _goes_by_ramps(knots[beside], levels[beside])
         # A quick push has few samples of the encoders before it stops.
         tried = (
-            _bend(t, value, around, step, noise, coarse, edge, known)
+            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp)
             for known in ((mine, None) if mine is not None else (None,))
             for edge in _EDGE_SAMPLES
         )
@@ -1849,11 +1861,14 @@ def _bend(
     coarse: float,
     edge: int,
     servo: Servo | None,
+    *,
+    ramp: bool = False,
 ) -> _Turned | None:
     """
     Return the acceleration between two straight pieces, and the level where these meet.
 
     Beside it are `edge` samples at least; none of the pieces' own are of it where that is zero.
+    After a `ramp`, whose corners all turn the same way, little may be straight.
     """
     left, start, stop, right = around
     margin = max(stop - start, edge * step) if edge else 0.0
@@ -1862,8 +1877,8 @@ def _bend(
     rest = -1
     before, after = start - margin, stop + margin
     is_short = [
-        np.count_nonzero((t >= first) & (t <= last)) < edge
-        for first, last in ((left, before), (after, right))
+        may_be and np.count_nonzero((t >= first) & (t <= last)) < edge
+        for may_be, first, last in ((True, left, before), (ramp, after, right))
     ]
     # An arm is straight until it begins to change its speed: of a quick push that is little, and
     # of a way on which it takes long to come to its speed.
