@@ -330,8 +330,8 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
-    case = [task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')]
-    return json.dumps([*case, task.get('slow', False)])
+    given = [task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')]
+    return json.dumps([*given, task.get('slow', False)])
 
 
 def parser() -> argparse.ArgumentParser:

@@ -20,6 +20,7 @@ from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _bend,
+    _goes_by_ramps,
     planned,
     prepare,
     reads_at_moments,
@@ -689,6 +690,25 @@ def test_a_way_that_is_mostly_accelerations_is_followed_by_them() -> None:
     assert ramps == pytest.approx([0.38, 0.38], rel=0.02)
     near = (t > 0.9) & (t < 6.4)
     assert np.abs(path.at(t) - way)[near].max() < 2e-6
+
+
+def test_a_shape_with_little_straight_after_it_follows_the_samples_closely() -> None:
+    t = np.arange(0.0, 1.5, 0.005)
+    way = _slowly(t, [(1.0, 0.02, 0.38)], 1.5)
+    read = way + 1.5e-6 * np.random.default_rng(4).standard_normal(t.size)
+    for noise, followed in ((1.5e-6, True), (1e-6, False)):
+        turned = _bend(t, read, (0.0, 0.85, 1.17, 1.42), 0.005, noise, 0.0, 6, None, ramp=True)
+        assert (turned is not None) == followed
+    # Of a way that ripples it is none.
+    assert _bend(t, read, (0.0, 0.85, 1.17, 1.42), 0.005, 1.5e-6, 0.0, 6, None) is None
+
+
+def test_a_way_that_ripples_goes_by_no_ramps() -> None:
+    knots = np.arange(0.0, 12.0, 0.1)
+    ramps = np.where(np.arange(knots.size) % 40 < 20, 1.0, -1.0)
+    ripples = np.where(np.arange(knots.size) % 4 < 2, 1.0, -1.0)
+    for turns, expected in ((ramps, True), (ripples, False)):
+        assert _goes_by_ramps(knots, np.cumsum(np.cumsum(turns))) == expected
 
 
 def test_slow_changes_of_speed_in_the_air_do_not_hide_those_on_the_object() -> None:

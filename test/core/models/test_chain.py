@@ -262,6 +262,17 @@ def test_force_and_surface_are_those_of_the_equations(name: str) -> None:
         assert not found.force[t[:-1] > t_loss + 0.02].any()
 
 
+def _slope(body: Body, slot: Slot, t: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Return how the force changes with a number of the chain, by differences."""
+    step = 1e-6 * body.chain().slots[slot]
+    sides = []
+    for sign in (-1.0, 1.0):
+        chain = body.chain()
+        chain.slots[slot] += sign * step
+        sides.append(respond(t, displacement, chain).force)
+    return np.asarray((sides[1] - sides[0]) / (2.0 * step))
+
+
 @pytest.mark.parametrize(
     'body',
     [
@@ -297,13 +308,7 @@ def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(body: Body)
     found = respond(t, displacement, body.chain(), directions)
     assert np.abs(found.force - force).max() < (3e-4 if body.delta_e else 2e-4)
     for slot, tangent in zip(slots, found.force_tangent, strict=True):
-        step = 1e-6 * body.chain().slots[slot]
-        sides = []
-        for sign in (-1.0, 1.0):
-            chain = body.chain()
-            chain.slots[slot] += sign * step
-            sides.append(respond(t, displacement, chain).force)
-        slope = (sides[1] - sides[0]) / (2.0 * step)
+        slope = _slope(body, slot, t, displacement)
         assert tangent == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
 
@@ -327,13 +332,7 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
     for slot in (Slot.K1, Slot.ADHESION, Slot.DECAY):
         direction = Chain(np.eye(len(Slot))[slot], NONE, NONE)
         found = respond(t, d, body.chain(), (direction,)).force_tangent[0]
-        step = 1e-6 * body.chain().slots[slot]
-        sides = []
-        for sign in (-1.0, 1.0):
-            chain = body.chain()
-            chain.slots[slot] += sign * step
-            sides.append(respond(t, d, chain).force)
-        slope = (sides[1] - sides[0]) / (2.0 * step)
+        slope = _slope(body, slot, t, d)
         assert found == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
 
