@@ -295,14 +295,15 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 
 
 PLAN = (
-    '--world random --none 400 --first 57000',
-    '--world random --scatter 0.02 --none 400 --first 39500',
-    '--world grid --seeds 2 --first 390 --r 0.3 1 0.1 0.07 0.05',
-    '--world grid --scatter 0.02 --seeds 2 --first 690 --r 0.3 1',
-    '--world grid --pairs 20 --seeds 2 --first 590 --r 0.3',
-    '--world grid --outside --seeds 2 --first 190 --r 1',
-    '--world grid --clouds --seeds 1 --first 790 --r 1',
-    '--world grid --laws --seeds 1 --first 890 --r 0.3 1 3',
+    '--world random --none 400 --first 62000',
+    '--world random --scatter 0.02 --none 400 --first 45000',
+    '--world grid --seeds 2 --first 430 --r 0.3 1 0.1 0.07 0.05',
+    '--world grid --scatter 0.02 --seeds 2 --first 730 --r 0.3 1',
+    '--world grid --pairs 20 --seeds 2 --first 630 --r 0.3',
+    '--world grid --outside --seeds 2 --first 230 --r 1',
+    '--world grid --clouds --seeds 1 --first 850 --r 1',
+    '--world grid --laws --seeds 1 --first 950 --r 0.3 1 3',
+    '--world random --slow --none 60 --first 64000',
 )
 """What the page is made of."""
 

@@ -54,7 +54,6 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final, Literal
 
-from hapticvision_ros.core.effects.declaration import ComplexArray
 from hapticvision_ros.core.fit.exponential import ExponentialFit, MIN_SAMPLES
 from hapticvision_ros.core.fit.least_squares import covariance, minimise
 from hapticvision_ros.core.fit.paper import fit_paper, PaperResult
@@ -62,6 +61,7 @@ from hapticvision_ros.core.fit.release import pressed_in, start_of_recovery
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
+from numpy.typing import NDArray
 
 type Kind = Literal['elastic', 'viscoelastic', 'plastic', 'rheological']
 
@@ -250,7 +250,7 @@ def find_vibration(height: Signal) -> Vibration | None:
     return _polished(t, y, smooth, frequency, decrement, origin)
 
 
-def _gains(y: FloatArray, basis: FloatArray, wave: ComplexArray) -> FloatArray:
+def _gains(y: FloatArray, basis: FloatArray, wave: NDArray[np.complex128]) -> FloatArray:
     """Return by how much the wave of each column lowers the squares."""
     wave = wave - basis @ (basis.T @ wave)
     cosine, sine = wave.real, wave.imag

@@ -23,7 +23,7 @@ effect declares. The fit works with the vector theta, in which parameters that h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 import math
@@ -40,10 +40,11 @@ from hapticvision_ros.core.effects.declaration import (
     without_law,
 )
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.models.chain import Chain, respond, Slot
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
+from numpy.typing import NDArray
 
 BASE: Final = 'three-element'
 """Name of the model without effects."""
@@ -204,14 +205,20 @@ class Model:
         """Return the vector of the fit for parameters in SI units; shape (p,)."""
         given = np.array(values, dtype=np.float64)
         logarithms = np.full(given.size, -np.inf)
-        np.log(given, out=logarithms, where=np.array(self.log) & (given > 0.0))
-        return np.where(self.log, logarithms, given)
+        np.log(given, out=logarithms, where=self._logarithms & (given > 0.0))
+        return np.where(self._logarithms, logarithms, given)
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the parameters in SI units; shape (p,)."""
+        values = theta.copy()
         # A search may go where nothing is finite: it turns back from there.
         with np.errstate(over='ignore'):
-            return np.where(self.log, np.exp(np.where(self.log, theta, 0.0)), theta)
+            np.exp(theta, out=values, where=self._logarithms)
+        return values
+
+    @cached_property
+    def _logarithms(self) -> NDArray[np.bool_]:
+        return np.array(self.log)
 
     def predict(
         self,
@@ -246,17 +253,16 @@ class Model:
         """
         if turns is not None:
             split = _Split.of(trial, turns)
-            return _together(
-                self.predict(split, theta, trial_values, directions=directions), turns
-            )
+            prediction = self.predict(split, theta, trial_values, directions=directions)
+            _put_together(prediction, turns)
+            return prediction
         p, q = len(self.parameters), len(self.trial_parameters)
         values = np.zeros(p + q)
         values[:p] = self.values(theta)
         if trial_values is not None:
             values[p:] = trial_values
         rows = self._rows_of_the_chain if directions else ()
-        chain, tangents = self._chains(trial, values, rows)
-        response = respond(trial.t, trial.displacement, chain, tangents)
+        response = respond(trial.t, trial.displacement, *self._chains(trial, values, rows))
         d_force, d_surface = response.force_tangent, response.surface_tangent
         if directions and len(rows) < p + q:
             d_force = np.zeros((p + q, response.force.size))
@@ -311,8 +317,7 @@ class Model:
 
     def _draft(self, trial: DrivenTrial, values: Sequence[complex]) -> Draft:
         """Return the chain for all p + q values."""
-        draft = Draft(_NEUTRAL.copy())
-        draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
+        draft = Draft.of(*values[: len(BASE_PARAMETERS)])
         draft.slots[Slot.REFERENCE_DEPTH] = trial.reference_depth
         draft.slots[Slot.OFFSET] = values[len(self.parameters)]
         for effect, own in zip(self.declared, self._owned, strict=True):
@@ -322,39 +327,41 @@ class Model:
 
     def _chains(
         self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
-    ) -> tuple[Chain, tuple[Chain, ...]]:
-        """Return the chain, and how its numbers change with the values of some rows."""
+    ) -> tuple[Chain, Chain | None]:
+        """Return the chain, and how its numbers change with the values of some rows, if any."""
         if all(effect.shape is None for effect in self.declared):
-            slots = self._draft(trial, values.tolist()).slots.real.copy()
-            return Chain(slots, _NO_UNITS, _NO_UNITS), _PLAIN if rows else ()
-        given: list[complex] = [complex(value) for value in values]
+            slots = self._draft(trial, values.tolist()).real
+            return Chain(slots, np.zeros(0), np.zeros(0)), _PLAIN if rows else None
+        given = [complex(value) for value in values.tolist()]
         draft = self._draft(trial, given)
         # A unit that is infinitely stiff is none.
         kept = [i for i, (stiffness, _) in enumerate(draft.units) if math.isfinite(stiffness.real)]
-        chain = _numbers(draft, kept)
-        tangents = []
-        zeros = np.zeros(len(kept))
-        for row in rows:
-            value = values[row]
-            if not math.isfinite(value):
-                tangents.append(Chain(np.zeros(len(Slot)), zeros, zeros))
-                continue
+        units = np.array([draft.units[i] for i in kept]).real.reshape(-1, 2).T.copy()
+        chain = Chain(draft.real, *units)
+        if not rows:
+            return chain, None
+        d_slots = np.zeros((len(rows), len(Slot)))
+        d_units = np.zeros((2, len(rows), len(kept)))
+        steps = np.ones((len(rows), 1))
+        for j, row in enumerate(rows):
+            value = given[row]
             if row == len(self.parameters):
                 # The onset is added to, and nothing is made of it.
-                tangents.append(Chain(_PLAIN[-1].slots, zeros, zeros))
-                continue
-            step = _COMPLEX_STEP * (abs(value) or 1.0)
-            given[row] = complex(value, step)
-            tangents.append(_numbers(self._draft(trial, given), kept, step))
-            given[row] = complex(value)
-        return chain, tuple(tangents)
+                d_slots[j, Slot.OFFSET] = 1.0
+            elif math.isfinite(value.real):
+                step = _COMPLEX_STEP * (abs(value) or 1.0)
+                given[row] = complex(value.real, step)
+                draft = self._draft(trial, given)
+                d_slots[j] = [number.imag for number in draft.slots]
+                for k, i in enumerate(kept):
+                    d_units[:, j, k] = [number.imag for number in draft.units[i]]
+                steps[j] = step
+                given[row] = value
+        return chain, Chain(d_slots / steps, *(d_units / steps))
 
 
-_NEUTRAL: Final = neutral().astype(np.complex128)
-_NO_UNITS: Final = np.zeros(0)
-_PLAIN: Final = tuple(
-    Chain(np.eye(len(Slot))[slot], _NO_UNITS, _NO_UNITS)
-    for slot in (Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET)
+_PLAIN: Final = Chain(
+    np.eye(len(Slot))[[Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET]], *np.zeros((2, 4, 0))
 )
 """What the parameters of a chain without effects, and the onset, are of it."""
 
@@ -383,20 +390,9 @@ class _Split:
         )
 
 
-def _together(split: Prediction, turns: Turns) -> Prediction:
-    """Return a prediction in steps for one in split steps."""
-    return replace(
-        split,
-        force=turns.means(split.force[np.newaxis])[0],
-        d_force=turns.means(split.d_force),
-        surface=turns.at_ends(split.surface),
-        d_surface=turns.at_ends(split.d_surface),
-    )
-
-
-def _numbers(draft: Draft, kept: Sequence[int], step: float | None = None) -> Chain:
-    """Return the numbers of a draft, or their derivatives by a complex step."""
-    units = np.array([draft.units[i] for i in kept], dtype=np.complex128).reshape(-1, 2).T
-    if step is None:
-        return Chain(draft.slots.real.copy(), units[0].real.copy(), units[1].real.copy())
-    return Chain(draft.slots.imag / step, units[0].imag / step, units[1].imag / step)
+def _put_together(split: Prediction, turns: Turns) -> None:
+    """Make a prediction in split steps one in steps."""
+    split.force = turns.means(split.force[np.newaxis])[0]
+    split.d_force = turns.means(split.d_force)
+    split.surface = turns.at_ends(split.surface)
+    split.d_surface = turns.at_ends(split.d_surface)

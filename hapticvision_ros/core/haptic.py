@@ -379,7 +379,7 @@ class HapticStepper:
             effect.name for effect in model.declared if effect.kind != 'object'
         )
         draft, growth = _draft(model, parameters, reference_depth, campaign_time)
-        self._numbers = np.append(draft.slots.real, growth)
+        self._numbers = np.append(draft.real, growth)
         units = [(k.real, c.real) for k, c in draft.units if math.isfinite(k.real)]
         self._stiffness = np.array([k for k, _ in units])
         self._viscosity = np.array([c for _, c in units])
@@ -449,10 +449,9 @@ def _draft(
         # A spring in series may be infinitely stiff.
         if math.isnan(parameters.get(name, math.nan)):
             raise UsageError(f'{name} is not known: a step needs all parameters of {model.name}')
-    draft = Draft()
     values = [float(parameters[name]) for name in model.names]
     first = len(BASE_PARAMETERS)
-    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = values[:first]
+    draft = Draft.of(*values[:first])
     if reference_depth is not None:
         draft.slots[Slot.REFERENCE_DEPTH] = reference_depth
     nothing = np.zeros(0)

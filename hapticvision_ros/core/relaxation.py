@@ -336,8 +336,7 @@ def standard_errors(
 def linear_chain(model: Model, parameters: Mapping[str, float]) -> Draft:
     """Return the chain with those effects that are linear elements of it."""
     values = [parameters[name] for name in model.names]
-    draft = Draft()
-    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
+    draft = Draft.of(*values[: len(BASE_PARAMETERS)])
     trial = _AtTheStart(np.zeros(1), np.zeros(1), np.zeros(0))
     first = len(BASE_PARAMETERS)
     for effect in model.declared:
@@ -350,7 +349,7 @@ def linear_chain(model: Model, parameters: Mapping[str, float]) -> Draft:
 
 def _partial_fractions(draft: Draft, blocked: bool) -> RelaxationFunction:
     """Return K_p + 1 / D(s) as a spring, a dashpot and Maxwell branches."""
-    slots = draft.slots.real
+    slots = draft.real
     compliance = float(slots[Slot.SERIES_COMPLIANCE])
     units = [(float(slots[Slot.K1]), float(slots[Slot.C1]))]
     units += [(stiffness.real, viscosity.real) for stiffness, viscosity in draft.units]

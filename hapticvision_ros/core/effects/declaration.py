@@ -36,8 +36,6 @@ from hapticvision_ros.core.records import FloatArray
 import numpy as np
 from numpy.typing import NDArray
 
-type ComplexArray = NDArray[np.complex128]
-
 LAW: Final = ':'
 """Between the name of an effect and that of another law of it."""
 
@@ -168,6 +166,9 @@ class EffectParameter:
     twin: str = ''
 
 
+_NEUTRAL: Final = [complex(number) for number in neutral()]
+
+
 @dataclass(slots=True)
 class Draft:
     """
@@ -175,15 +176,27 @@ class Draft:
 
     Parameters
     ----------
-    slots : ndarray of complex, shape (len(Slot),)
-        One number for each `Slot`.
+    slots : list of complex, length len(Slot)
+        One number for each `Slot`; numbers of Python's own, of which an array is slower.
     units : list of (complex, complex)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
 
     """
 
-    slots: ComplexArray = field(default_factory=lambda: neutral().astype(np.complex128))
+    slots: list[complex] = field(default_factory=_NEUTRAL.copy)
     units: list[tuple[complex, complex]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, K1: complex, C1: complex, C2: complex) -> 'Draft':
+        """Return the chain of three elements."""
+        draft = cls()
+        draft.slots[Slot.K1], draft.slots[Slot.C1], draft.slots[Slot.C2] = K1, C1, C2
+        return draft
+
+    @property
+    def real(self) -> FloatArray:
+        """Return the slots without their imaginary parts, shape (len(Slot),)."""
+        return np.array([number.real for number in self.slots])
 
     def add(self, slot: Slot, value: complex) -> None:
         """Add to a slot."""

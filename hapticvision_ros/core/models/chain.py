@@ -130,13 +130,13 @@ def neutral() -> FloatArray:
 @dataclass(frozen=True, slots=True)
 class Chain:
     """
-    The numbers of a chain, or one direction in their space.
+    The numbers of a chain; or p directions in their space, one in each row.
 
     Parameters
     ----------
-    slots : ndarray, shape (17,)
+    slots : ndarray, shape (17,) or (p, 17)
         One number for each `Slot`.
-    unit_stiffness, unit_viscosity : ndarray, shape (n,)
+    unit_stiffness, unit_viscosity : ndarray, shape (n,) or (p, n)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
 
     """
@@ -171,7 +171,7 @@ class Response:
 
 
 def respond(
-    t: FloatArray, displacement: FloatArray, chain: Chain, directions: tuple[Chain, ...] = ()
+    t: FloatArray, displacement: FloatArray, chain: Chain, directions: Chain | None = None
 ) -> Response:
     """
     Return the response of a chain that starts at rest.
@@ -184,7 +184,7 @@ def respond(
         Tool displacement beyond the first touch at `t` [m], linear in between; negative in air.
     chain : Chain
         The numbers.
-    directions : tuple of Chain
+    directions : Chain, optional
         Directions in the space of the numbers, for the sensitivities.
 
     Returns
@@ -193,24 +193,20 @@ def respond(
         Force and surface, and their derivatives along the directions.
 
     """
-    n, p, units = t.size - 1, len(directions), chain.unit_stiffness.size
+    if directions is None:
+        none = np.empty((0, chain.unit_stiffness.size))
+        directions = Chain(_NOWHERE, none, none)
+    n, p = t.size - 1, directions.slots.shape[0]
     response = Response(np.empty(n), np.empty(n + 1), np.empty((p, n)), np.empty((p, n + 1)))
-    d_slots = np.empty((p, len(Slot)))
-    d_stiffness = np.empty((p, units))
-    d_viscosity = np.empty((p, units))
-    for j, direction in enumerate(directions):
-        d_slots[j] = direction.slots
-        d_stiffness[j] = direction.unit_stiffness
-        d_viscosity[j] = direction.unit_viscosity
     _respond(
         t,
         displacement,
         chain.slots,
         chain.unit_stiffness,
         chain.unit_viscosity,
-        d_slots,
-        d_stiffness,
-        d_viscosity,
+        directions.slots,
+        directions.unit_stiffness,
+        directions.unit_viscosity,
         response.force,
         response.surface,
         response.force_tangent,
@@ -219,6 +215,7 @@ def respond(
     return response
 
 
+_NOWHERE: Final = np.empty((0, len(Slot)))
 # The enum is not known to the compiler; these are its values as constants.
 _K1 = int(Slot.K1)
 _C1 = int(Slot.C1)

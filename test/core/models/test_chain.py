@@ -39,7 +39,6 @@ from scipy.special import gamma
 
 K1, C1, C2 = 5000.0, 20000.0, 60000.0
 DEPTH = 0.010
-NONE = np.zeros(0)
 KNOT_T = np.array([0.0, 5.0, 15.0, 40.0])
 KNOT_D = np.array([0.0, DEPTH, DEPTH, 0.004])
 """A push, a hold and a slow withdrawal, in which contact is lost."""
@@ -262,6 +261,11 @@ def test_force_and_surface_are_those_of_the_equations(name: str) -> None:
         assert not found.force[t[:-1] > t_loss + 0.02].any()
 
 
+def _along(*slots: Slot, units: int = 0) -> Chain:
+    """Return the directions of some numbers of a chain, each alone."""
+    return Chain(np.eye(len(Slot))[list(slots)], *np.zeros((2, len(slots), units)))
+
+
 def _slope(body: Body, slot: Slot, t: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return how the force changes with a number of the chain, by differences."""
     step = 1e-6 * body.chain().slots[slot]
@@ -304,8 +308,7 @@ def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(body: Body)
     assert np.count_nonzero(force < -(0.3 if body.delta_e else 0.999) * body.F_ad) > 1000
     displacement = np.interp(t, knot_t, knot_d)
     slots = [Slot.K1, Slot.C2, Slot.ADHESION, *([Slot.DECAY] if body.delta_e else [])]
-    directions = tuple(Chain(np.eye(len(Slot))[slot], NONE, NONE) for slot in slots)
-    found = respond(t, displacement, body.chain(), directions)
+    found = respond(t, displacement, body.chain(), _along(*slots))
     assert np.abs(found.force - force).max() < (3e-4 if body.delta_e else 2e-4)
     for slot, tangent in zip(slots, found.force_tangent, strict=True):
         slope = _slope(body, slot, t, displacement)
@@ -330,8 +333,7 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
     d = np.interp(t, knot_t, np.array([-1.0, 8.0, 8.0, 3.0, 8.0, 8.0, -4.0]) * 1e-3)
     body = Body(F_ad=3.0, delta_e=3e-4)
     for slot in (Slot.K1, Slot.ADHESION, Slot.DECAY):
-        direction = Chain(np.eye(len(Slot))[slot], NONE, NONE)
-        found = respond(t, d, body.chain(), (direction,)).force_tangent[0]
+        found = respond(t, d, body.chain(), _along(slot)).force_tangent[0]
         slope = _slope(body, slot, t, d)
         assert found == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
@@ -339,8 +341,7 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
 def test_a_thinning_that_is_none_yet_has_its_derivative() -> None:
     t = np.linspace(0.0, 14.0, 1401)
     d = np.interp(t, KNOT_T, KNOT_D)
-    direction = Chain(np.eye(len(Slot))[Slot.FLOW_INDEX], NONE, NONE)
-    found = respond(t, d, Body().chain(), (direction,)).force_tangent[0]
+    found = respond(t, d, Body().chain(), _along(Slot.FLOW_INDEX)).force_tangent[0]
     sides = [respond(t, d, Body(n=1.0 + step).chain()).force for step in (-1e-5, 1e-5)]
     slope = (sides[1] - sides[0]) / 2e-5
     assert found == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
@@ -463,12 +464,11 @@ def _mittag_leffler(x: np.ndarray, alpha: float, beta: float) -> np.ndarray:
 @pytest.mark.parametrize('alpha', [0.4, 0.7, 0.95])
 def test_a_spring_and_a_springpot_relax_as_mittag_leffler(alpha: float) -> None:
     # G(t) = K E_alpha(-(t / T)^alpha), T^alpha = c / K, under a ramp and a hold.
-    draft = Draft()
-    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = K1, 0.0, C2
+    draft = Draft.of(K1, 0.0, C2)
     assert SPRINGPOT.shape is not None
     SPRINGPOT.shape(draft, [complex(alpha)], None)  # type: ignore[arg-type]
     units = np.array(draft.units).real
-    chain = Chain(draft.slots.real.copy(), units[:, 0].copy(), units[:, 1].copy())
+    chain = Chain(draft.real, units[:, 0].copy(), units[:, 1].copy())
     t = np.linspace(0.0, 12.0, 4801)
     found = respond(t, np.interp(t, [0.0, 4.0, 12.0], [0.0, DEPTH, DEPTH]), chain).force
     spread = C2 * REFERENCE_TIME ** (alpha - 1.0) / K1
@@ -619,9 +619,7 @@ def test_the_response_is_the_same_with_and_without_its_sensitivities(
         t, np.linspace(0.0, t[-1], 7), [-0.001, DEPTH, DEPTH, -0.003, -0.003, DEPTH, 0.0]
     )
     alone = respond(t, d, body.chain())
-    along = np.zeros(len(Slot))
-    along[Slot.K1] = 1.0
-    beside = respond(t, d, body.chain(), (Chain(along, *np.zeros((2, len(units)))),))
+    beside = respond(t, d, body.chain(), _along(Slot.K1, units=len(units)))
     # Sums in another order, over 300 steps.
     assert alone.force == pytest.approx(beside.force, abs=1e-10 * np.abs(beside.force).max())
     assert alone.surface == pytest.approx(beside.surface, abs=1e-10 * DEPTH)
@@ -629,7 +627,7 @@ def test_the_response_is_the_same_with_and_without_its_sensitivities(
 
 def test_a_tool_in_air_meets_nothing() -> None:
     t = np.linspace(0.0, 5.0, 501)
-    found = respond(t, np.full(t.size, -1e-3), Body().chain(), (Body().chain(),))
+    found = respond(t, np.full(t.size, -1e-3), Body().chain(), _along(*Slot))
     for array in (found.force, found.surface, found.force_tangent, found.surface_tangent):
         assert not array.any()
 
@@ -638,11 +636,10 @@ def test_a_tool_in_air_meets_nothing() -> None:
 @pytest.mark.parametrize('hold', [2.0, 5.0])
 def test_without_adhesion_nothing_pulls_at_the_tool(alpha: float, hold: float) -> None:
     # What relaxes within the step of the loss falls faster than a straight line.
-    draft = Draft(neutral().astype(np.complex128))
-    draft.slots[[Slot.K1, Slot.C1, Slot.C2]] = 1000.0, 800.0, 1600.0
+    draft = Draft.of(1000.0, 800.0, 1600.0)
     SPRINGPOT.shape(draft, [alpha], None)
     units = np.array([[k.real, c.real] for k, c in draft.units])
-    chain = Chain(draft.slots.real.copy(), units[:, 0].copy(), units[:, 1].copy())
+    chain = Chain(draft.real, units[:, 0].copy(), units[:, 1].copy())
     t = np.arange(0.0, hold + 5.0, 1e-3)
     stop = 1.0 + 0.8
     d = np.interp(
