@@ -234,65 +234,98 @@ def _filter_two(  # type: ignore[no-untyped-def]
     p01 = 0.0
     p11 = v1
     log_determinant = 0.0
+    determinant = 1.0
     known = np.full((2, _largest(count) + 1, 5), -1.0)
+    last_h = -1.0
+    last_n = -1.0
+    known_extra = -1.0
+    a0 = 0.0
+    a1 = 0.0
+    b0 = 0.0
+    b1 = 0.0
+    own = 0.0
+    joint0 = 0.0
+    joint1 = 0.0
+    s = 1.0
+    g0 = 0.0
+    g1 = 0.0
+    w = 0.0
+    steady = False
     for i in range(duration.size):
         h = duration[i]
         n = count[i]
-        for k in range(2):
-            of = known[k, int(n)]
-            if abs(h - of[0]) > 1e-6 * h:
-                of[0] = h
-                _of_length(h, n, times[k], of)
-        first = known[0, int(n)]
-        second = known[1, int(n)]
-        b0 = first[1]
-        b1 = second[1]
-        passed[0, i] = b0
-        passed[1, i] = b1
-        q00 = b0 * b0 * p00 + v0 * (1.0 - b0 * b0)
-        q01 = b0 * b1 * p01
-        q11 = b1 * b1 * p11 + v1 * (1.0 - b1 * b1)
-        if n > 0.0:
+        if n != last_n or abs(h - last_h) > 1e-6 * h:
+            last_h = h
+            last_n = n
+            steady = False
+            for k in range(2):
+                of = known[k, int(n)]
+                if abs(h - of[0]) > 1e-6 * h:
+                    of[0] = h
+                    _of_length(h, n, times[k], of)
+            first = known[0, int(n)]
+            second = known[1, int(n)]
+            b0 = first[1]
+            b1 = second[1]
             a0 = first[2]
             a1 = second[2]
-            r0 = p00 * a0 + p01 * a1
-            r1 = p01 * a0 + p11 * a1
-            s = a0 * r0 + a1 * r1 + v0 * first[3] + v1 * second[3] + noise / n + extra[i]
-            c0 = b0 * r0 + v0 * first[4]
-            c1 = b1 * r1 + v1 * second[4]
-            w = 1.0 / np.sqrt(s)
-            g0 = c0 * w * w
-            g1 = c1 * w * w
+            own = v0 * first[3] + v1 * second[3] + (noise / n if n > 0.0 else 0.0)
+            joint0 = v0 * first[4]
+            joint1 = v1 * second[4]
+        passed[0, i] = b0
+        passed[1, i] = b1
+        if n > 0.0:
+            if not steady or extra[i] != known_extra:
+                known_extra = extra[i]
+                r0 = p00 * a0 + p01 * a1
+                r1 = p01 * a0 + p11 * a1
+                s = a0 * r0 + a1 * r1 + own + known_extra
+                c0 = b0 * r0 + joint0
+                c1 = b1 * r1 + joint1
+                w = 1.0 / np.sqrt(s)
+                g0 = c0 * w * w
+                g1 = c1 * w * w
+                q00 = max(b0 * b0 * p00 + v0 * (1.0 - b0 * b0) - g0 * c0, 0.0)
+                q01 = b0 * b1 * p01 - g0 * c1
+                q11 = max(b1 * b1 * p11 + v1 * (1.0 - b1 * b1) - g1 * c1, 0.0)
+                change = max(abs(q00 - p00), abs(q01 - p01), abs(q11 - p11))
+                steady = change <= 1e-13 * (v0 + v1)
+                p00 = q00
+                p01 = q01
+                p11 = q11
             seen[0, i] = a0
             seen[1, i] = a1
             gain[0, i] = g0
             gain[1, i] = g1
             weight[i] = w
-            log_determinant += np.log(s)
-            q00 = max(q00 - g0 * c0, 0.0)
-            q01 -= g0 * c1
-            q11 = max(q11 - g1 * c1, 0.0)
+            determinant *= s
+            if not 1e-150 < determinant < 1e150:
+                log_determinant += np.log(determinant)
+                determinant = 1.0
         else:
+            steady = False
             seen[:, i] = 0.0
             gain[:, i] = 0.0
             weight[i] = 0.0
-        p00 = q00
-        p01 = q01
-        p11 = q11
-    return log_determinant
+            p00 = b0 * b0 * p00 + v0 * (1.0 - b0 * b0)
+            p01 = b0 * b1 * p01
+            p11 = b1 * b1 * p11 + v1 * (1.0 - b1 * b1)
+    return log_determinant + np.log(determinant)
 
 
 @kernel()
 def _whiten_two(seen, passed, gain, weight, rows, out):  # type: ignore[no-untyped-def]
     """Fill the innovations of each row over their standard deviations, two states deep."""
-    for j in range(rows.shape[0]):
-        a = 0.0
-        b = 0.0
-        for i in range(weight.size):
-            new = rows[j, i] - seen[0, i] * a - seen[1, i] * b
+    # Row by row each would wait for its own last state.
+    count = rows.shape[0]
+    a = np.zeros(count)
+    b = np.zeros(count)
+    for i in range(weight.size):
+        for j in range(count):
+            new = rows[j, i] - seen[0, i] * a[j] - seen[1, i] * b[j]
             out[j, i] = new * weight[i]
-            a = passed[0, i] * a + gain[0, i] * new
-            b = passed[1, i] * b + gain[1, i] * new
+            a[j] = passed[0, i] * a[j] + gain[0, i] * new
+            b[j] = passed[1, i] * b[j] + gain[1, i] * new
 
 
 @kernel()
