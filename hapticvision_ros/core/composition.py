@@ -375,6 +375,7 @@ class _Split:
     height_t: FloatArray
     campaign_time: float
     reference_depth: float
+    earlier_depth: float
     zero_time: float
 
     @classmethod
@@ -386,6 +387,7 @@ class _Split:
             trial.height_t,
             trial.campaign_time,
             trial.reference_depth,
+            trial.earlier_depth,
             trial.zero_time,
         )
 

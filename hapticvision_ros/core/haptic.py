@@ -51,7 +51,7 @@ import numpy as np
 RATE: Final = 1000.0
 """Steps per second of a usual haptic loop [Hz]."""
 
-_COUNTED_FROM_DEPTH: Final = ('damage', 'contact_growth')
+_COUNTED_FROM_DEPTH: Final = ('damage', 'damage:lasting', 'contact_growth')
 
 _Z, _Y, _X, _Z_MAX, _SPEED, _CHAIN_FORCE, _MEAN, _TOOL, _RATE, _RATE_BEFORE = range(10)
 _CONTACT, _VIRGIN, _STEADY, _HELD_BACK, _GAP, _OPENS, _PULL = range(10, 17)
@@ -333,6 +333,7 @@ class _Condition:
     t: FloatArray
     displacement: FloatArray
     height_t: FloatArray
+    earlier_depth: float = 0.0
     zero_time: float = 0.0
 
 

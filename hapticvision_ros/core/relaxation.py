@@ -185,6 +185,7 @@ class _AtTheStart:
     height_t: FloatArray
     campaign_time: float = 0.0
     reference_depth: float = 1.0
+    earlier_depth: float = 0.0
     zero_time: float = 0.0
 
 
@@ -225,7 +226,7 @@ def relaxation_function(
     for effect in model.declared:
         if effect.kind == 'object' and effect.named not in LINEAR | NONLINEAR | _BESIDE:
             raise UsageError(f'{effect.name} has no relaxation function in this version')
-    nonlinear = [name for name in model.effects if name in NONLINEAR]
+    nonlinear = [effect.named for effect in model.declared if effect.named in NONLINEAR]
     if nonlinear and point is None:
         raise UsageError(
             f'a relaxation function is linear and the body with {", ".join(nonlinear)} is not: '

@@ -307,6 +307,7 @@ def run(
     if len(set(names)) < len(names):
         raise UsageError('an effect acts once in a campaign: name each one once')
     trials, bodies, offsets, touches, losses = [], [], [], [], []
+    stretched = 0.0
     for index, start in enumerate(campaign.starts):
         random = np.random.default_rng((seed, index))
         share = campaign.scatter * random.standard_normal(3)
@@ -320,8 +321,12 @@ def run(
             campaign.body.C1 * math.exp(share[1]),
             campaign.body.C2 * math.exp(share[2]),
         )
-        trial, touch, loss = _trial(
-            campaign, index, start, parameter_vector(body, effects), offset, random, ideal
+        vector = parameter_vector(body, effects)
+        if parameter(vector, 'lasting_damage', 'D') == 0.0:
+            # Each trial has a fresh place.
+            stretched = 0.0
+        trial, touch, loss, stretched = _trial(
+            campaign, index, start, vector, offset, stretched, random, ideal
         )
         trials.append(trial)
         bodies.append(body)
@@ -619,10 +624,15 @@ def _trial(
     start: float,
     vector: FloatArray,
     offset: float,
+    stretched: float,
     random: np.random.Generator,
     ideal: bool,
-) -> tuple[Trial, float, float]:
-    """Return a trial as measured, and its true touch and loss from its first stamp [s]."""
+) -> tuple[Trial, float, float, float]:
+    """
+    Return a trial as measured, its true touch and loss, and how far K1 was stretched [m].
+
+    Touch and loss are from its first stamp [s].
+    """
     sensors = campaign.sensors
     motion, duration, phases = campaign.motion(index)
     interval = 1.0 / sensors.force_rate
@@ -643,6 +653,7 @@ def _trial(
         surface_offset=offset,
         reference_depth=campaign.deepest,
         campaign_time=start,
+        stretched=stretched,
     )
     reading = _load_cell(campaign, index, start, vector, history, motion, knock_at)
     moments: FloatArray = first + interval * np.arange(count)
@@ -710,7 +721,7 @@ def _trial(
         provenance=MappingProxyType({'source': PROVENANCE_TEXT}),
     )
     shift = (start_ns - began) / _NS_PER_S
-    return trial, history.t_touch - shift, history.t_loss - shift
+    return trial, history.t_touch - shift, history.t_loss - shift, history.stretched
 
 
 def _since(start_ns: int, stamps: NDArray[np.int64], value: FloatArray) -> Signal:

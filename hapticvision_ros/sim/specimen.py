@@ -102,6 +102,7 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'ageing_by_trial': (Quantity('rate', '1/h', 0.0),),
     'necking': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
     'stringing': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
+    'lasting_damage': (Quantity('D', '-', 0.0),),
 }
 """
 Effects of the contract by laws that differ from those of `LIBRARY`.
@@ -115,7 +116,8 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``loose_top``: the top is pushed down by `delta_0` before the object resists, and stays down;
 ``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it;
 ``necking``: adhesion that pulls on with its force until necks of `length` have been drawn out;
-``stringing``: adhesion whose threads break one after the other, as many on each `length`.
+``stringing``: adhesion whose threads break one after the other, as many on each `length`;
+``lasting_damage``: damage at one place, which stays from trial to trial.
 """
 
 LAW_OF: Final[Mapping[str, str]] = {
@@ -129,6 +131,7 @@ LAW_OF: Final[Mapping[str, str]] = {
     'ageing_by_trial': 'ageing',
     'necking': 'adhesion',
     'stringing': 'adhesion',
+    'lasting_damage': 'damage',
 }
 """Whose laws these are."""
 
@@ -334,6 +337,8 @@ class History:
         Displacement height H of the surface under the tool [m].
     t_touch, t_loss : float
         First touch and last loss of contact [s]; NaN where there was none.
+    stretched : float
+        The largest stretch of the spring K1 so far [m].
 
     """
 
@@ -342,6 +347,7 @@ class History:
     surface: FloatArray
     t_touch: float
     t_loss: float
+    stretched: float
 
 
 def parameter_vector(body: Body, effects: Sequence[Undeclared] = ()) -> FloatArray:
@@ -383,9 +389,10 @@ def integrate(
     surface_offset: float = 0.0,
     reference_depth: float = 1.0,
     campaign_time: float = 0.0,
+    stretched: float = 0.0,
 ) -> History:
     """
-    Push a fresh specimen along a motion of the tool.
+    Push a specimen at rest along a motion of the tool.
 
     Parameters
     ----------
@@ -402,6 +409,8 @@ def integrate(
         d_ref of damage and contact growth, the deepest push of the campaign [m].
     campaign_time : float
         When the trial starts, from the start of the campaign [s].
+    stretched : float
+        How far its spring K1 has been stretched before [m].
 
     Returns
     -------
@@ -432,7 +441,7 @@ def integrate(
     pore_rates = odd[: pore_stiffness.size] ** 2 / parameter(vector, 'poroelasticity', 'time')
     room = moments.size + _MOST_EVENTS
     t, impulse, surface = np.empty(room), np.empty(room), np.empty(room)
-    count, touch, loss = _push(
+    count, touch, loss, stretched = _push(
         moments,
         depth,
         speed,
@@ -440,6 +449,7 @@ def integrate(
         vector,
         reference_depth,
         campaign_time,
+        stretched,
         rates,
         weights,
         give,
@@ -451,7 +461,7 @@ def integrate(
         surface,
     )
     t, surface = t[:count], surface[:count]
-    return History(t, np.diff(impulse[:count]) / np.diff(t), surface, touch, loss)
+    return History(t, np.diff(impulse[:count]) / np.diff(t), surface, touch, loss, stretched)
 
 
 def _fractional(order: float, C2: float) -> tuple[FloatArray, FloatArray, float, float]:
@@ -512,6 +522,7 @@ _BETA = _SLOTS['strain_stiffening', 'beta']
 _N = _SLOTS['shear_thinning', 'n']
 _M_GROWTH = _SLOTS['contact_growth', 'm']
 _D = _SLOTS['damage', 'D']
+_D_LASTS = _SLOTS['lasting_damage', 'D']
 _AGE = _SLOTS['ageing', 'rate']
 _AGE_BY_TRIAL = _SLOTS['ageing_by_trial', 'rate']
 _FAD = _SLOTS['adhesion', 'F_ad']
@@ -554,7 +565,8 @@ def _stage(  # type: ignore[no-untyped-def]
     c1, c2 = q[1], q[2] * (1.0 - q[_THIXO] * (1.0 - base[_BUILD]))
     threshold = q[_FY] / factor
     k1 = q[0] * base[_TURN]
-    beta, damage, exponent, growth_exponent = q[_BETA], q[_D], 1.0 / q[_N], q[_M_GROWTH]
+    beta, damage = q[_BETA], q[_D] + q[_D_LASTS]
+    exponent, growth_exponent = 1.0 / q[_N], q[_M_GROWTH]
     soft0, softm = 1.0 / q[_K0], 1.0 / q[_KM]
     x_before, v_before = base[_H], base[_V]
     sliding, held = e * base[_SLIDE], 0.5 * q[_SLIP_FORCE]
@@ -772,6 +784,7 @@ def _push(  # type: ignore[no-untyped-def]
     q,
     d_ref,
     campaign_time,
+    stretched,
     r,
     w,
     give,
@@ -782,11 +795,12 @@ def _push(  # type: ignore[no-untyped-def]
     impulse,
     surface,
 ):
-    """Fill moments, impulse up to them and surface; return how many, first touch, last loss."""
+    """Fill moments, impulse up to them and surface; return how many, touch, loss, stretch."""
     state = np.zeros(_FIRST_MODE + r.size + rp.size)
     state[_BUILD] = 1.0
     state[_TURN] = 1.0
     state[_WHOLE] = 1.0
+    state[_Z_MAX] = stretched
     middle = state.copy()
     after = state.copy()
     kept = np.zeros(r.size)
@@ -912,4 +926,4 @@ def _push(  # type: ignore[no-untyped-def]
             impulse[count] = given
             surface[count] = state[_H]
             count += 1
-    return count, touch, loss
+    return count, touch, loss, state[_Z_MAX]

@@ -146,6 +146,7 @@ _MAKERS: Final[Mapping[str, _Maker]] = {
     'ageing_by_trial': lambda s, u, k: (_sign(u) * s * 3600.0 / k.campaign,),
     'necking': lambda s, u, k: (s * k.force, 0.01 * 10.0**u * k.depth),
     'stringing': lambda s, u, k: (s * k.force, 0.01 * 10.0**u * k.depth),
+    'lasting_damage': lambda s, u, k: (min(s, 0.95),),
     'poroelasticity': lambda s, u, k: (
         s * k.force / k.depth,
         k.body.relaxation_time * 10.0 ** (1.5 * u - 1.25),

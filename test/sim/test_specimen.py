@@ -309,6 +309,7 @@ CLEAR = {
     'adhesion': (0.5,),
     'necking': (0.5, 3e-4),
     'stringing': (0.5, 3e-4),
+    'lasting_damage': (0.3,),
     'inertia': (0.5,),
     'machine_compliance': (2e4,),
     'poroelasticity': (300.0, 3.0),

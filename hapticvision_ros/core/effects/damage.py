@@ -15,6 +15,8 @@
 """Stiffness lost with the largest stretch so far."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
 from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
 from hapticvision_ros.core.models.chain import Slot
@@ -24,7 +26,12 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.DAMAGE, values[0])
 
 
-EFFECT = Effect(
+def _lasting(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    _shape(draft, values, trial)
+    draft.add(Slot.STRETCHED, values[1] * trial.earlier_depth)
+
+
+_OF_A_TRIAL: Final = Effect(
     name='damage',
     title='Damage',
     kind='object',
@@ -52,4 +59,38 @@ EFFECT = Effect(
         '(damage by the largest strain so far).'
     ),
     shape=_shape,
+)
+
+EFFECT = replace(
+    _OF_A_TRIAL,
+    laws=(
+        _OF_A_TRIAL.following(
+            'lasting',
+            sketch="""
+    K1(z_max) = K1 (1 - D z_max / d_ref),  z_max the largest stretch of K1 so far in the campaign,
+    before a trial kappa times the depth of the deepest push before it
+    """,
+            validity=(
+                'All trials at one place, which does not heal between them; the deepest pushes '
+                'stretch K1 by the same part of their depth.'
+            ),
+            source=(
+                'J. Diani, B. Fayolle and P. Gilormini, Eur. Polym. J. 45, 2009, 601-612, '
+                'doi:10.1016/j.eurpolymj.2008.11.017 (softening by the largest strain ever, which '
+                'stays).'
+            ),
+            shape=_lasting,
+            parameters=(
+                *_OF_A_TRIAL.parameters,
+                EffectParameter(
+                    'kappa',
+                    '-',
+                    'stretch of K1 over the depth, of the deepest push before a trial',
+                    0.0,
+                    1.0,
+                    lambda scale: 0.7,
+                ),
+            ),
+        ),
+    ),
 )

@@ -69,6 +69,11 @@ class DrivenTrial(Protocol):
         ...
 
     @property
+    def earlier_depth(self) -> float:
+        """Return the depth of the deepest push of the campaign before this one [m]."""
+        ...
+
+    @property
     def zero_time(self) -> float:
         """Return the mean time of the samples that gave the force zero, on the axis of `t` [s]."""
         ...

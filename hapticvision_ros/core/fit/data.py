@@ -23,7 +23,7 @@ the encoders' samples, as many as it takes to follow them within their noise.
 
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -417,6 +417,8 @@ class FitTrial:
         When the trial starts, from the start of the campaign [s].
     reference_depth : float
         Depth of the deepest push of the campaign [m].
+    earlier_depth : float
+        Depth of the deepest push before this one [m].
     zero_time : float
         Mean time of the samples that gave the force zero [s].
     interval, height_interval : float
@@ -448,6 +450,7 @@ class FitTrial:
     height_count: FloatArray
     campaign_time: float
     reference_depth: float
+    earlier_depth: float
     zero_time: float
     interval: float
     height_interval: float
@@ -604,6 +607,11 @@ class FitTrial:
             force_count=samples.good.astype(np.float64),
         )
 
+    @property
+    def depth(self) -> float:
+        """Return how far the tool goes beyond the detected contact [m]."""
+        return float(self.path.displacement.max())
+
     def head(self, steps: int) -> 'FitTrial':
         """Return the first steps of the trial, and one for the rest; with the force alone."""
         # What counts from the middle of the trial, as the phase of a hum, stays what it is.
@@ -711,11 +719,39 @@ def prepare(
         warnings.append(f'{trials[index][0].name}: {why}: {then}')
         if clear:
             prepared[index] = None
-    deepest = max((float(t.path.displacement.max()) for t in prepared if t is not None), default=1)
+    pushes = [(t.campaign_time, t.depth) for t in prepared if t is not None]
+    deepest = max((depth for _, depth in pushes), default=1.0)
     return (
-        tuple(t if t is None else replace(t, reference_depth=deepest) for t in prepared),
+        tuple(
+            t
+            if t is None
+            else replace(
+                t, reference_depth=deepest, earlier_depth=deepest_before(t.campaign_time, pushes)
+            )
+            for t in prepared
+        ),
         tuple(warnings),
     )
+
+
+def deepest_before(campaign_time: float, pushes: Iterable[tuple[float, float]]) -> float:
+    """
+    Return the depth of the deepest of earlier pushes.
+
+    Parameters
+    ----------
+    campaign_time : float
+        When a trial starts, from the start of the campaign [s].
+    pushes : iterable of (float, float)
+        When trials start [s], and their depths [m].
+
+    Returns
+    -------
+    float
+        The depth [m]; zero where none is earlier.
+
+    """
+    return max((depth for start, depth in pushes if start < campaign_time), default=0.0)
 
 
 def planned(
@@ -753,7 +789,7 @@ def planned(
     corners = [0.0, touch, stop, end]
     levels = [-push_speed * touch, 0.0, depth, depth]
     if release and like.t_release is not None:
-        deepest = float(like.path.displacement.max())
+        deepest = like.depth
         later = like.path.t > like.t_release
         risen = deepest - like.path.displacement[later]
         times = like.path.t[later] - like.t_release
@@ -783,6 +819,7 @@ def planned(
         height=np.zeros(heights.size),
         height_count=np.ones(heights.size),
         campaign_time=campaign_time,
+        earlier_depth=like.reference_depth,
         t_contact=touch,
         t_release=end if release else None,
         eventful=np.zeros(count, dtype=np.bool_),
@@ -858,6 +895,7 @@ def _prepare(
         height_count=np.ones(heights.size),
         campaign_time=campaign_time,
         reference_depth=float(path.displacement.max()),
+        earlier_depth=0.0,
         zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
         interval=interval,
         height_interval=height_interval,
@@ -2225,7 +2263,7 @@ def _unseen(height: Signal, trial: FitTrial) -> tuple[float, float] | None:
     """
     t, value = height.t, height.value
     steps = np.diff(t)
-    deepest = float(trial.path.displacement.max())
+    deepest = trial.depth
     end = math.inf if trial.t_release is None else trial.t_release
     # Nothing is measured of the contact before the touch, and little after the release.
     silent = steps > _SILENT * float(np.median(steps))

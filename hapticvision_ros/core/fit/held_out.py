@@ -52,6 +52,7 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import (
+    deepest_before,
     FitTrial,
     prepare,
     range_end_of,
@@ -99,6 +100,8 @@ class Trained:
         Of the sensors.
     reference_depth : float
         Deepest push of the trials [m], to which some effects refer.
+    pushes : tuple of (float, float)
+        When the trials start, from the start of the campaign [s], and their depths [m].
     start_ns : int
         When the campaign began [ns since the epoch], from where an effect may count its time.
     scatter : ndarray, shape (3,) or (0,)
@@ -116,6 +119,7 @@ class Trained:
     theta: FloatArray
     noise: CampaignNoise
     reference_depth: float
+    pushes: tuple[tuple[float, float], ...]
     start_ns: int
     scatter: FloatArray
     servo: Servo | None = None
@@ -130,6 +134,7 @@ class Trained:
             fit.theta,
             fit.noise,
             fit.problem.trials[0].reference_depth,
+            tuple((trial.campaign_time, trial.depth) for trial in fit.problem.trials),
             min(trial.start_ns for trial, _ in pairs_of(campaign)),
             fit.problem.scatter,
             fit.problem.trials[0].path.servo,
@@ -433,6 +438,10 @@ def predict_unseen(
     )
     first = min((trial.start_ns for trial, _ in pairs), default=0)
     later = (first - trained.start_ns) * 1e-9
+    pushes = [
+        *trained.pushes,
+        *((one.campaign_time + later, one.depth) for one in prepared if one is not None),
+    ]
     moved = [
         None
         if trial is None
@@ -440,6 +449,7 @@ def predict_unseen(
             trial,
             reference_depth=trained.reference_depth,
             campaign_time=trial.campaign_time + later,
+            earlier_depth=deepest_before(trial.campaign_time + later, pushes),
         )
         for trial in prepared
     ]

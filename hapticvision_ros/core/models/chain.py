@@ -110,6 +110,8 @@ class Slot(IntEnum):
     """How far tool and surface are apart where F_ad lets go [m]; zero where it does so at once."""
     DECAY = 16
     """Opening over which F_ad falls to 1/e instead [m]; zero where it does not."""
+    STRETCHED = 17
+    """Largest stretch of K1 before the trial [m]."""
 
 
 def neutral() -> FloatArray:
@@ -118,7 +120,7 @@ def neutral() -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (17,)
+    ndarray, shape (18,)
         Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
 
     """
@@ -134,7 +136,7 @@ class Chain:
 
     Parameters
     ----------
-    slots : ndarray, shape (17,) or (p, 17)
+    slots : ndarray, shape (18,) or (p, 18)
         One number for each `Slot`.
     unit_stiffness, unit_viscosity : ndarray, shape (n,) or (p, n)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
@@ -234,6 +236,7 @@ _OFF = int(Slot.OFFSET)
 _MASS = int(Slot.MASS)
 _OPEN = int(Slot.OPENING)
 _DECAY = int(Slot.DECAY)
+_STRETCHED = int(Slot.STRETCHED)
 
 _TOLERANCE = 1e-6
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
@@ -556,7 +559,7 @@ def _respond(  # type: ignore[no-untyped-def]
     chain_force = 0.0
     machine_force = 0.0
     x = 0.0
-    z_max = 0.0
+    z_max = q[_STRETCHED]
     speed = 0.0
     zu = np.zeros(units)
     left_u = np.zeros(units)
@@ -575,7 +578,7 @@ def _respond(  # type: ignore[no-untyped-def]
     d_chain_force = np.zeros(directions)
     d_machine_force = np.zeros(directions)
     dx = np.zeros(directions)
-    dz_max = np.zeros(directions)
+    dz_max = dq[:, _STRETCHED].copy()
     d_speed = np.zeros(directions)
     d_mean = np.zeros(directions)
     d_first = np.zeros(directions)

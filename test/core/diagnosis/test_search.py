@@ -191,6 +191,7 @@ def test_another_law_must_show_an_effect_where_late_stamps_leave_none(
         (Undeclared('ageing', (8.0,)), 15, 'ageing:within_trials'),
         (Undeclared('necking', (0.3, 4e-4)), 19, 'adhesion:cohesive_zone'),
         (Undeclared('stringing', (0.3, 4e-4)), 19, 'adhesion:fading_zone'),
+        (Undeclared('lasting_damage', (0.4,)), 22, 'damage:lasting'),
     ],
     ids=lambda value: getattr(value, 'name', ''),
 )

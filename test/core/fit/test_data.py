@@ -313,12 +313,13 @@ def test_a_record_that_begins_in_the_hold_is_not_fitted() -> None:
 
 
 def test_campaign_time_and_depth_are_those_of_the_campaign() -> None:
-    """The second trial starts later; both know the deepest push."""
+    """The first that is given starts later; both know the deepest push."""
     trial = _trial()
     later = replace(trial, start_ns=trial.start_ns + 60 * 10**9)
-    made, _ = prepare([(trial, PHASES), (later, PHASES)])
-    assert [t.campaign_time for t in made] == pytest.approx([0.0, 60.0])
+    made, _ = prepare([(later, PHASES), (trial, PHASES)])
+    assert [t.campaign_time for t in made] == pytest.approx([60.0, 0.0])
     assert made[0].reference_depth == pytest.approx(0.006, rel=1e-3)
+    assert [t.earlier_depth for t in made] == pytest.approx([0.006, 0.0], rel=1e-3)
 
 
 def test_a_corner_within_a_gap_of_the_record_does_no_harm() -> None:
@@ -471,6 +472,7 @@ def test_a_planned_push_is_seen_by_the_same_encoders() -> None:
     )
     assert push.path.interval == made.path.interval
     assert push.pushed[1] > made.pushed[1]
+    assert push.earlier_depth == made.reference_depth
 
 
 def test_a_short_hold_leaves_both_changes_of_speed() -> None:

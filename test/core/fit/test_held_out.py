@@ -162,6 +162,20 @@ def test_the_parameters_do_not_move_for_an_unseen_trial(campaign: list[Pair], ri
     assert errors.total['force'].rmse > 0.5 * size
 
 
+def test_a_push_after_others_finds_their_damage(campaign: list[Pair], base: Fit) -> None:
+    trained = Trained.of(base, campaign[:2])
+    trial, phases = campaign[2]
+
+    def squares(effect: str, numbers: tuple[float, ...], start_ns: int) -> float | None:
+        told = replace(trained, model=Model((effect,)), theta=np.append(base.theta, numbers))
+        return predict_unseen(told, [(replace(trial, start_ns=start_ns), phases)]).squares[0]
+
+    before = campaign[0][0].start_ns - 10**12
+    fresh = squares('damage', (0.5,), before)
+    assert squares('damage:lasting', (0.5, 0.7), before) == pytest.approx(fresh, rel=1e-6)
+    assert squares('damage:lasting', (0.5, 0.7), trial.start_ns) != pytest.approx(fresh, rel=1e-3)
+
+
 def test_what_is_left_out_is_not_seen(campaign: list[Pair], right: Fit) -> None:
     spoilt_trial, phases = campaign[2]
     spoilt_trial = replace(

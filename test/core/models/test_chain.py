@@ -19,7 +19,7 @@ The reference shares no code with the chain: scipy's Radau on the differential e
 work of the force as a state, so that its mean over a step is exact.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 
 from hapticvision_ros.core.effects.declaration import Draft
@@ -266,14 +266,14 @@ def _along(*slots: Slot, units: int = 0) -> Chain:
     return Chain(np.eye(len(Slot))[list(slots)], *np.zeros((2, len(slots), units)))
 
 
-def _slope(body: Body, slot: Slot, t: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _slope(chain: Chain, slot: Slot, t: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return how the force changes with a number of the chain, by differences."""
-    step = 1e-6 * body.chain().slots[slot]
+    step = 1e-6 * chain.slots[slot]
     sides = []
     for sign in (-1.0, 1.0):
-        chain = body.chain()
-        chain.slots[slot] += sign * step
-        sides.append(respond(t, displacement, chain).force)
+        moved = replace(chain, slots=chain.slots.copy())
+        moved.slots[slot] += sign * step
+        sides.append(respond(t, displacement, moved).force)
     return np.asarray((sides[1] - sides[0]) / (2.0 * step))
 
 
@@ -311,7 +311,7 @@ def test_a_tool_that_comes_back_while_it_is_held_meets_what_holds_it(body: Body)
     found = respond(t, displacement, body.chain(), _along(*slots))
     assert np.abs(found.force - force).max() < (3e-4 if body.delta_e else 2e-4)
     for slot, tangent in zip(slots, found.force_tangent, strict=True):
-        slope = _slope(body, slot, t, displacement)
+        slope = _slope(body.chain(), slot, t, displacement)
         assert tangent == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
 
@@ -334,8 +334,31 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
     body = Body(F_ad=3.0, delta_e=3e-4)
     for slot in (Slot.K1, Slot.ADHESION, Slot.DECAY):
         found = respond(t, d, body.chain(), _along(slot)).force_tangent[0]
-        slope = _slope(body, slot, t, d)
+        slope = _slope(body.chain(), slot, t, d)
         assert found == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
+
+
+def test_damage_of_earlier_pushes_stays() -> None:
+    """Against the simulated world, beyond and below what has been stretched before."""
+    body = Body(D=0.3)
+    t = np.linspace(0.0, 40.0, 4001)
+    d = np.interp(t, KNOT_T, KNOT_D)
+    motion = Motion(KNOT_T[:-1], KNOT_D[:-1], np.diff(KNOT_D) / np.diff(KNOT_T), np.zeros(3))
+    vector = parameter_vector(specimen.Body(K1, C1, C2), [Undeclared('lasting_damage', (0.3,))])
+    fresh = respond(t, d, body.chain()).force
+    for before in (0.002, 0.02):
+        world = integrate(t, motion, vector, reference_depth=DEPTH, stretched=before)
+        impulse = np.concatenate(([0.0], np.cumsum(world.force * np.diff(world.t))))
+        force = np.diff(np.interp(t, world.t, impulse)) / np.diff(t)
+        chain = body.chain()
+        chain.slots[Slot.STRETCHED] = before
+        found = respond(t, d, chain, _along(Slot.STRETCHED, Slot.DAMAGE))
+        near = np.abs(t[1:] - world.t_loss) < 0.03
+        assert np.abs(found.force - force)[~near].max() < 3e-4 * force.max()
+        assert np.abs(found.force - fresh).max() > 2e-3 * force.max()
+        for slot, tangent in zip((Slot.STRETCHED, Slot.DAMAGE), found.force_tangent, strict=True):
+            slope = _slope(chain, slot, t, d)
+            assert tangent == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
 
 
 def test_a_thinning_that_is_none_yet_has_its_derivative() -> None:
