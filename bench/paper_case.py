@@ -132,7 +132,7 @@ class Driven:
     height_t: np.ndarray
     campaign_time: float = 0.0
     reference_depth: float = 15.0 * MM
-    earlier_depth: float = 0.0
+    depth_before: float = 0.0
     zero_time: float = 0.0
 
 

@@ -330,14 +330,14 @@ class Model:
     ) -> tuple[Chain, Chain | None]:
         """Return the chain, and how its numbers change with the values of some rows, if any."""
         if all(effect.shape is None for effect in self.declared):
-            slots = self._draft(trial, values.tolist()).real
+            slots = self._draft(trial, values.tolist()).real_slots
             return Chain(slots, np.zeros(0), np.zeros(0)), _PLAIN if rows else None
         given = [complex(value) for value in values.tolist()]
         draft = self._draft(trial, given)
         # A unit that is infinitely stiff is none.
         kept = [i for i, (stiffness, _) in enumerate(draft.units) if math.isfinite(stiffness.real)]
         units = np.array([draft.units[i] for i in kept]).real.reshape(-1, 2).T.copy()
-        chain = Chain(draft.real, *units)
+        chain = Chain(draft.real_slots, *units)
         if not rows:
             return chain, None
         d_slots = np.zeros((len(rows), len(Slot)))
@@ -375,7 +375,7 @@ class _Split:
     height_t: FloatArray
     campaign_time: float
     reference_depth: float
-    earlier_depth: float
+    depth_before: float
     zero_time: float
 
     @classmethod
@@ -385,10 +385,10 @@ class _Split:
             turns.t,
             turns.displacement,
             trial.height_t,
-            trial.campaign_time,
-            trial.reference_depth,
-            trial.earlier_depth,
-            trial.zero_time,
+            campaign_time=trial.campaign_time,
+            reference_depth=trial.reference_depth,
+            depth_before=trial.depth_before,
+            zero_time=trial.zero_time,
         )
 
 

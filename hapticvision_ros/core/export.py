@@ -256,7 +256,7 @@ def links(model: Model, parameters: Mapping[str, float]) -> dict[str, Any]:
 
     """
     draft = linear_chain(model, parameters)
-    slots = draft.real
+    slots = draft.real_slots
     compliance = float(slots[Slot.SERIES_COMPLIANCE])
     chain = []
     if compliance > 0.0:

@@ -51,7 +51,7 @@ import numpy as np
 RATE: Final = 1000.0
 """Steps per second of a usual haptic loop [Hz]."""
 
-_COUNTED_FROM_DEPTH: Final = ('damage', 'damage:lasting', 'contact_growth')
+_COUNTED_FROM_DEPTH: Final = ('damage', 'contact_growth')
 
 _Z, _Y, _X, _Z_MAX, _SPEED, _CHAIN_FORCE, _MEAN, _TOOL, _RATE, _RATE_BEFORE = range(10)
 _CONTACT, _VIRGIN, _STEADY, _HELD_BACK, _GAP, _OPENS, _PULL = range(10, 17)
@@ -333,7 +333,7 @@ class _Condition:
     t: FloatArray
     displacement: FloatArray
     height_t: FloatArray
-    earlier_depth: float = 0.0
+    depth_before: float = 0.0
     zero_time: float = 0.0
 
 
@@ -380,7 +380,7 @@ class HapticStepper:
             effect.name for effect in model.declared if effect.kind != 'object'
         )
         draft, growth = _draft(model, parameters, reference_depth, campaign_time)
-        self._numbers = np.append(draft.real, growth)
+        self._numbers = np.append(draft.real_slots, growth)
         units = [(k.real, c.real) for k, c in draft.units if math.isfinite(k.real)]
         self._stiffness = np.array([k for k, _ in units])
         self._viscosity = np.array([c for _, c in units])
@@ -470,7 +470,7 @@ def _draft(
         first = last
         if effect.kind != 'object':
             continue
-        if effect.name in _COUNTED_FROM_DEPTH and not (reference_depth or 0.0) > 0.0:
+        if effect.named in _COUNTED_FROM_DEPTH and not (reference_depth or 0.0) > 0.0:
             raise UsageError(
                 f'{effect.name} is counted from the deepest push of the fitted campaign: give '
                 'its depth as reference_depth'

@@ -185,7 +185,7 @@ class _AtTheStart:
     height_t: FloatArray
     campaign_time: float = 0.0
     reference_depth: float = 1.0
-    earlier_depth: float = 0.0
+    depth_before: float = 0.0
     zero_time: float = 0.0
 
 
@@ -350,7 +350,7 @@ def linear_chain(model: Model, parameters: Mapping[str, float]) -> Draft:
 
 def _partial_fractions(draft: Draft, blocked: bool) -> RelaxationFunction:
     """Return K_p + 1 / D(s) as a spring, a dashpot and Maxwell branches."""
-    slots = draft.real
+    slots = draft.real_slots
     compliance = float(slots[Slot.SERIES_COMPLIANCE])
     units = [(float(slots[Slot.K1]), float(slots[Slot.C1]))]
     units += [(stiffness.real, viscosity.real) for stiffness, viscosity in draft.units]

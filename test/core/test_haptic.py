@@ -76,7 +76,7 @@ class Path:
     height_t: np.ndarray
     campaign_time: float = CAMPAIGN_TIME
     reference_depth: float = DEPTH
-    earlier_depth: float = 0.0
+    depth_before: float = 0.0
     zero_time: float = 0.0
 
 

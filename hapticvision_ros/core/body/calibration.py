@@ -450,7 +450,7 @@ class _Driven:
     height_t: FloatArray
     reference_depth: float
     campaign_time: float = 0.0
-    earlier_depth: float = 0.0
+    depth_before: float = 0.0
     zero_time: float = 0.0
 
 

@@ -47,10 +47,6 @@ _WIDE: Final = 0.5
 _SAME: Final = 0.06
 """Relative difference of speed, depth and hold within which two pushes are the same."""
 _SAME_HOLD: Final = 0.2
-_SAME_STOP: Final = 0.01
-"""Difference of the heights at which two tools stop, over the depth, of pushes to one place."""
-_SAME_PLACE: Final = 0.2
-"""Relative difference of their depths, as of objects that are not equally high."""
 _POOLED: Final = 3.0
 """Degrees of freedom that the likeliest common scatter counts for in each element."""
 _TREND: Final = 0.01
@@ -124,7 +120,7 @@ class Block:
 
 def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
     """
-    Return the trials of each push: same speed, depth or place of the stop, and hold.
+    Return the trials of each push: same speed, depth and hold.
 
     Parameters
     ----------
@@ -151,7 +147,7 @@ def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
 def _alike(one: Segmentation, other: Segmentation) -> bool:
     pairs = [
         (one.push_speed, other.push_speed, _SAME),
-        (one.depth, other.depth, _SAME_PLACE if _stop_alike(one, other) else _SAME),
+        (one.depth, other.depth, _SAME),
         (one.hold_time, other.hold_time, _SAME_HOLD),
     ]
     for a, b, reach in pairs:
@@ -160,16 +156,6 @@ def _alike(one: Segmentation, other: Segmentation) -> bool:
         if a is not None and b is not None and abs(a - b) > reach * max(abs(a), abs(b)):
             return False
     return True
-
-
-def _stop_alike(one: Segmentation, other: Segmentation) -> bool:
-    """Return whether two tools stop at the same height."""
-    if one.depth is None or other.depth is None:
-        return False
-    if one.contact_height is None or other.contact_height is None:
-        return False
-    apart = (one.contact_height - one.depth) - (other.contact_height - other.depth)
-    return abs(apart) <= _SAME_STOP * max(one.depth, other.depth)
 
 
 def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:

@@ -28,7 +28,8 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 def _lasting(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     _shape(draft, values, trial)
-    draft.add(Slot.STRETCHED, values[1] * trial.earlier_depth)
+    # Beyond d_ref, as before a push that is predicted, nothing would be left of K1.
+    draft.add(Slot.STRETCHED, values[1] * min(trial.depth_before, trial.reference_depth))
 
 
 _OF_A_TRIAL: Final = Effect(
@@ -72,7 +73,8 @@ EFFECT = replace(
     """,
             validity=(
                 'All trials at one place, which does not heal between them; the deepest pushes '
-                'stretch K1 by the same part of their depth.'
+                'stretch K1 by the same part of their depth. Of earlier pushes those count that '
+                'are fitted together.'
             ),
             source=(
                 'J. Diani, B. Fayolle and P. Gilormini, Eur. Polym. J. 45, 2009, 601-612, '

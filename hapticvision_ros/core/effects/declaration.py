@@ -69,7 +69,7 @@ class DrivenTrial(Protocol):
         ...
 
     @property
-    def earlier_depth(self) -> float:
+    def depth_before(self) -> float:
         """Return the depth of the deepest push of the campaign before this one [m]."""
         ...
 
@@ -199,7 +199,7 @@ class Draft:
         return draft
 
     @property
-    def real(self) -> FloatArray:
+    def real_slots(self) -> FloatArray:
         """Return the slots without their imaginary parts, shape (len(Slot),)."""
         return np.array([number.real for number in self.slots])
 

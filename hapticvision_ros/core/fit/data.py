@@ -134,6 +134,8 @@ _MOST_PIECES: Final = 96
 """Pieces of a path at most, for each time that the tool goes there and back."""
 _UNBENT: Final = 2
 """How many more there may be before shapes take the place of those of slow changes of speed."""
+_SAME_START: Final = 1e-3
+"""Trials that start within this time of each other are one [s]."""
 _FEWEST_OF_A_RAMP: Final = 3
 """Corners of one change of speed that are followed by corners at first."""
 _TO_AND_FRO: Final = 0.4
@@ -417,7 +419,7 @@ class FitTrial:
         When the trial starts, from the start of the campaign [s].
     reference_depth : float
         Depth of the deepest push of the campaign [m].
-    earlier_depth : float
+    depth_before : float
         Depth of the deepest push before this one [m].
     zero_time : float
         Mean time of the samples that gave the force zero [s].
@@ -450,7 +452,7 @@ class FitTrial:
     height_count: FloatArray
     campaign_time: float
     reference_depth: float
-    earlier_depth: float
+    depth_before: float
     zero_time: float
     interval: float
     height_interval: float
@@ -683,6 +685,7 @@ def prepare(
     prepared: list[FitTrial | None] = []
     warnings: list[str] = []
     unknown: list[str | None] = []
+    pushes: list[tuple[float, float]] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
     if servo is None:
         servo = arm_of(trials)[0]
@@ -698,6 +701,9 @@ def prepare(
             # One trial may have been read through another range.
             ends = end_of_range([force])
         made = _prepare(trial, phases, later, windows, servo, beside, ends)
+        # What no model is fitted to has been pushed as well.
+        depth = phases.depth if isinstance(made, str) else made.depth
+        pushes.append((later, depth or 0.0))
         if isinstance(made, str):
             warnings.append(f'{trial.name}: {made}, so no model is fitted to it')
             prepared.append(None)
@@ -719,14 +725,13 @@ def prepare(
         warnings.append(f'{trials[index][0].name}: {why}: {then}')
         if clear:
             prepared[index] = None
-    pushes = [(t.campaign_time, t.depth) for t in prepared if t is not None]
-    deepest = max((depth for _, depth in pushes), default=1.0)
+    deepest = max((one.depth for one in prepared if one is not None), default=1.0)
     return (
         tuple(
             t
             if t is None
             else replace(
-                t, reference_depth=deepest, earlier_depth=deepest_before(t.campaign_time, pushes)
+                t, reference_depth=deepest, depth_before=deepest_before(t.campaign_time, pushes)
             )
             for t in prepared
         ),
@@ -751,7 +756,8 @@ def deepest_before(campaign_time: float, pushes: Iterable[tuple[float, float]]) 
         The depth [m]; zero where none is earlier.
 
     """
-    return max((depth for start, depth in pushes if start < campaign_time), default=0.0)
+    before = (depth for start, depth in pushes if start < campaign_time - _SAME_START)
+    return max(before, default=0.0)
 
 
 def planned(
@@ -819,7 +825,7 @@ def planned(
         height=np.zeros(heights.size),
         height_count=np.ones(heights.size),
         campaign_time=campaign_time,
-        earlier_depth=like.reference_depth,
+        depth_before=like.reference_depth,
         t_contact=touch,
         t_release=end if release else None,
         eventful=np.zeros(count, dtype=np.bool_),
@@ -895,7 +901,7 @@ def _prepare(
         height_count=np.ones(heights.size),
         campaign_time=campaign_time,
         reference_depth=float(path.displacement.max()),
-        earlier_depth=0.0,
+        depth_before=0.0,
         zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
         interval=interval,
         height_interval=height_interval,

@@ -449,7 +449,7 @@ def predict_unseen(
             trial,
             reference_depth=trained.reference_depth,
             campaign_time=trial.campaign_time + later,
-            earlier_depth=deepest_before(trial.campaign_time + later, pushes),
+            depth_before=deepest_before(trial.campaign_time + later, pushes),
         )
         for trial in prepared
     ]

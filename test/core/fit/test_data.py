@@ -21,6 +21,7 @@ from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _bend,
     _goes_by_ramps,
+    deepest_before,
     planned,
     prepare,
     reads_at_moments,
@@ -319,7 +320,19 @@ def test_campaign_time_and_depth_are_those_of_the_campaign() -> None:
     made, _ = prepare([(later, PHASES), (trial, PHASES)])
     assert [t.campaign_time for t in made] == pytest.approx([60.0, 0.0])
     assert made[0].reference_depth == pytest.approx(0.006, rel=1e-3)
-    assert [t.earlier_depth for t in made] == pytest.approx([0.006, 0.0], rel=1e-3)
+    assert [t.depth_before for t in made] == pytest.approx([0.006, 0.0], rel=1e-3)
+
+
+def test_the_deepest_push_before_may_be_any_that_was_made() -> None:
+    pushes = [(0.0, 0.003), (50.0, 0.006), (70.0, 0.002), (100.0, 0.009)]
+    told = [deepest_before(start, pushes) for start, _ in pushes]
+    assert told == [0.0, 0.003, 0.006, 0.006]
+    trial = _trial()
+    later = replace(trial, start_ns=trial.start_ns + 60 * 10**9)
+    # No model is fitted to the first, which begins in contact.
+    made, _ = prepare([(trial, replace(PHASES, push_is_cut=True)), (later, PHASES)])
+    assert made[0] is None and made[1] is not None
+    assert made[1].depth_before == PHASES.depth
 
 
 def test_a_corner_within_a_gap_of_the_record_does_no_harm() -> None:
@@ -472,7 +485,7 @@ def test_a_planned_push_is_seen_by_the_same_encoders() -> None:
     )
     assert push.path.interval == made.path.interval
     assert push.pushed[1] > made.pushed[1]
-    assert push.earlier_depth == made.reference_depth
+    assert push.depth_before == made.reference_depth
 
 
 def test_a_short_hold_leaves_both_changes_of_speed() -> None:

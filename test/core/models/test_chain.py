@@ -491,7 +491,7 @@ def test_a_spring_and_a_springpot_relax_as_mittag_leffler(alpha: float) -> None:
     assert SPRINGPOT.shape is not None
     SPRINGPOT.shape(draft, [complex(alpha)], None)  # type: ignore[arg-type]
     units = np.array(draft.units).real
-    chain = Chain(draft.real, units[:, 0].copy(), units[:, 1].copy())
+    chain = Chain(draft.real_slots, units[:, 0].copy(), units[:, 1].copy())
     t = np.linspace(0.0, 12.0, 4801)
     found = respond(t, np.interp(t, [0.0, 4.0, 12.0], [0.0, DEPTH, DEPTH]), chain).force
     spread = C2 * REFERENCE_TIME ** (alpha - 1.0) / K1
@@ -662,7 +662,7 @@ def test_without_adhesion_nothing_pulls_at_the_tool(alpha: float, hold: float) -
     draft = Draft.of(1000.0, 800.0, 1600.0)
     SPRINGPOT.shape(draft, [alpha], None)
     units = np.array([[k.real, c.real] for k, c in draft.units])
-    chain = Chain(draft.real, units[:, 0].copy(), units[:, 1].copy())
+    chain = Chain(draft.real_slots, units[:, 0].copy(), units[:, 1].copy())
     t = np.arange(0.0, hold + 5.0, 1e-3)
     stop = 1.0 + 0.8
     d = np.interp(
