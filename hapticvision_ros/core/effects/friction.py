@@ -30,6 +30,8 @@ import numpy as np
 
 SLIDING_SPEED: Final = 1e-5
 """Speed [m/s] above which the tool is taken to slide: a tenth and less of any push."""
+PRESLIDING: Final = 5e-6
+"""Way [m] up to which a tool that turns does not slide yet (P. R. Dahl: some micrometres)."""
 
 
 def _direction(trial: DrivenTrial) -> FloatArray:
@@ -44,9 +46,15 @@ def _direction(trial: DrivenTrial) -> FloatArray:
 def _last_direction(trial: DrivenTrial) -> FloatArray:
     """Return the direction in which the tool has slid last, 0 before it has; shape (n,)."""
     direction = _direction(trial)
-    slides = np.abs(direction) > 0.5
+    direction = np.where(np.abs(direction) > 0.5, np.sign(direction), 0.0)
+    # A path that swings past its stop by parts of a micrometre, as one from encoders does, must
+    # not turn what is held in the whole hold.
+    starts = np.append(0, np.flatnonzero(np.diff(direction)) + 1)
+    far = np.abs(np.add.reduceat(np.diff(trial.displacement), starts)) > PRESLIDING
+    steps = np.diff(np.append(starts, direction.size))
+    slides = (direction != 0.0) & np.repeat(far, steps)
     last = np.maximum.accumulate(np.where(slides, np.arange(slides.size), -1))
-    return np.where(last < 0, 0.0, np.sign(direction[last]))
+    return np.where(last < 0, 0.0, direction[last])
 
 
 def _add(
