@@ -132,7 +132,7 @@ EFFECT = replace(
     F_measured = F + F_c sign(v),  at rest v as it was before
     """,
             validity=(
-                'Dry friction that a tool keeps at rest, and while it goes back by less than 5 um, '
+                'Dry friction that a tool keeps at rest and while it goes back by less than 5 um, '
                 'in air as in contact.'
             ),
             source=_DAHL,
