@@ -32,7 +32,7 @@ class Driven:
     height_t: FloatArray
     campaign_time: float = 1800.0
     reference_depth: float = 0.010
-    depth_before: float = 0.0
+    depth_before: float = 0.006
     zero_time: float = 0.5
 
 

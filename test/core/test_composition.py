@@ -165,3 +165,16 @@ def test_several_turns_in_one_step_are_parts_of_it() -> None:
     parts = np.array([[7.0, 4.0, 8.0, 10.0, 1.0, 3.0]])
     assert turns.means(parts).tolist() == [[7.0, 8.0, 2.0]]
     assert turns.at_ends(turns.t).tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_damage_before_a_trial_is_that_of_the_deepest_push_at_most(driven: Callable) -> None:
+    """A push that is predicted may come after one that is deeper than all that were fitted."""
+    model = Model(('damage:lasting',))
+    theta = model.theta([3000.0, 2000.0, 6000.0, 0.9, 1.0])
+    fresh, same, deeper = (
+        model.predict(replace(driven(2e-3), depth_before=depth), theta, directions=False).force
+        for depth in (0.0, 0.010, 0.030)
+    )
+    assert np.array_equal(deeper, same)
+    assert not np.array_equal(same, fresh)
+    assert same.max() == pytest.approx(fresh.max(), rel=0.1)

@@ -182,7 +182,7 @@ class Draft:
     Parameters
     ----------
     slots : list of complex, length len(Slot)
-        One number for each `Slot`; numbers of Python's own, of which an array is slower.
+        One number for each `Slot`.
     units : list of (complex, complex)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
 

@@ -31,7 +31,7 @@ import numpy as np
 SLIDING_SPEED: Final = 1e-5
 """Speed [m/s] above which the tool is taken to slide: a tenth and less of any push."""
 PRESLIDING: Final = 5e-6
-"""Way [m] up to which a tool that turns does not slide yet (P. R. Dahl: some micrometres)."""
+"""Way [m] up to which a tool that turns does not slide yet."""
 
 
 def _direction(trial: DrivenTrial) -> FloatArray:

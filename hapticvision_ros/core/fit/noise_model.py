@@ -213,7 +213,6 @@ def _filter(  # type: ignore[no-untyped-def]
                 log_determinant += np.log(determinant)
                 determinant = 1.0
         else:
-            steady = False
             seen[i] = 0.0
             passed[i] = b
             gain[i] = 0.0
@@ -303,7 +302,6 @@ def _filter_two(  # type: ignore[no-untyped-def]
                 log_determinant += np.log(determinant)
                 determinant = 1.0
         else:
-            steady = False
             seen[:, i] = 0.0
             gain[:, i] = 0.0
             weight[i] = 0.0

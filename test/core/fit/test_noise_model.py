@@ -67,6 +67,25 @@ def test_whitening_means_is_that_of_the_full_covariance(
     np.testing.assert_allclose(filter_.products(rows), white @ white.T, atol=1e-9)
 
 
+@pytest.mark.parametrize('wander', [0.0, 0.9])
+def test_a_filter_that_has_settled_sees_what_changes(wander: float) -> None:
+    """A gap, samples that are less well known and longer blocks, after many that are alike."""
+    noise = SensorNoise(0.7, 1.3, 5e-3, wander, 0.05)
+    counts = [*[1] * 300, 20, *[1] * 300, *[1] * 3, *[1] * 300, *[4] * 100]
+    blocks, mean = _blocks(counts)
+    count, extra = blocks.count.copy(), np.zeros(len(counts))
+    # What is in the long block was set aside.
+    count[300], extra[601:604] = 0.0, 9.0
+    seen = count > 0.0
+    filter_ = whitener(Blocks(blocks.duration, count, extra), noise)
+    covariance = mean[seen] @ _covariance(noise, mean.shape[1]) @ mean[seen].T
+    lower = cholesky(covariance + np.diag(extra[seen]), lower=True)
+    rows = np.random.default_rng(0).standard_normal((3, len(counts)))
+    told = solve_triangular(lower, rows[:, seen].T, lower=True).T
+    np.testing.assert_allclose(filter_(rows)[:, seen], told, rtol=1e-6, atol=1e-7)
+    assert filter_.log_determinant == pytest.approx(2.0 * np.log(np.diag(lower)).sum(), rel=1e-7)
+
+
 def test_a_block_without_samples_tells_nothing() -> None:
     """Its residual does not count, whatever it is."""
     noise = SensorNoise(0.5, 1.0, 5e-3)
