@@ -75,6 +75,7 @@ _FAD = int(Slot.ADHESION)
 _MASS = int(Slot.MASS)
 _OPEN = int(Slot.OPENING)
 _DECAY = int(Slot.DECAY)
+_SATURATION = int(Slot.SATURATION)
 _GROWTH = len(Slot)
 """Behind the slots of the chain: a of exponential stiffening [1/m]."""
 
@@ -104,7 +105,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
     if state[_VIRGIN] > 0.0 and d_end <= 0.0:
         return 0.0
     k1, c1, c2, f_y = q[_K1], q[_C1], q[_C2], q[_FY]
-    beta, damage, d_ref = q[_BETA], q[_D], q[_DREF]
+    beta, damage, saturation, d_ref = q[_BETA], q[_D], q[_SATURATION], q[_DREF]
     c0, kp, m, f_ad, mass = q[_C0], q[_KP], q[_M], q[_FAD], q[_MASS]
     p = 1.0 / q[_N]
     units = ku.size
@@ -198,7 +199,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
                 slope = e
             else:
                 fc, slope, _k, _dk, _ek, _ex, _mid = _retarded_unit(
-                    u, z, z_max, hs, k1, c1, against, beta, damage, d_ref
+                    u, z, z_max, hs, k1, c1, against, beta, damage, saturation, d_ref
                 )
             flow, fluid, _excess = _flow_unit(fc, c2, f_y, p, flow_series)
             x_end = rest + u + hs * flow + ce * fc

@@ -48,6 +48,7 @@ from hapticvision_ros.sim.specimen import (
     Body,
     History,
     integrate,
+    LASTING,
     Motion,
     parameter,
     parameter_vector,
@@ -322,7 +323,7 @@ def run(
             campaign.body.C2 * math.exp(share[2]),
         )
         vector = parameter_vector(body, effects)
-        if parameter(vector, 'lasting_damage', 'D') == 0.0:
+        if not any(parameter(vector, name, 'D') for name in LASTING):
             # Each trial has a fresh place.
             stretched = 0.0
         trial, touch, loss, stretched = _trial(

@@ -103,6 +103,8 @@ OTHER_LAWS: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'necking': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
     'stringing': (Quantity('F_ad', 'N', 0.0), Quantity('length', 'm', 0.0)),
     'lasting_damage': (Quantity('D', '-', 0.0),),
+    'early_damage': (Quantity('D', '-', 0.0), Quantity('length', 'm', 1.0)),
+    'early_lasting_damage': (Quantity('D', '-', 0.0), Quantity('length', 'm', 1.0)),
 }
 """
 Effects of the contract by laws that differ from those of `LIBRARY`.
@@ -117,7 +119,9 @@ Effects of the contract by laws that differ from those of `LIBRARY`.
 ``ageing_by_trial``: each trial has an object of its own age, which stays as it is in it;
 ``necking``: adhesion that pulls on with its force until necks of `length` have been drawn out;
 ``stringing``: adhesion whose threads break one after the other, as many on each `length`;
-``lasting_damage``: damage at one place, which stays from trial to trial.
+``lasting_damage``: damage at one place, which stays from trial to trial;
+``early_damage``: `D` is lost at d_ref, and of what is not lost yet 1 - 1/e on each `length`;
+``early_lasting_damage``: both.
 """
 
 LAW_OF: Final[Mapping[str, str]] = {
@@ -132,8 +136,13 @@ LAW_OF: Final[Mapping[str, str]] = {
     'necking': 'adhesion',
     'stringing': 'adhesion',
     'lasting_damage': 'damage',
+    'early_damage': 'damage',
+    'early_lasting_damage': 'damage',
 }
 """Whose laws these are."""
+
+LASTING: Final = ('lasting_damage', 'early_lasting_damage')
+"""Which of them one trial hands on to the next."""
 
 OUTSIDE: Final[Mapping[str, tuple[Quantity, ...]]] = {
     'poroelasticity': (Quantity('K_pore', 'N/m', 0.0), Quantity('time', 's', 1.0)),
@@ -523,6 +532,10 @@ _N = _SLOTS['shear_thinning', 'n']
 _M_GROWTH = _SLOTS['contact_growth', 'm']
 _D = _SLOTS['damage', 'D']
 _D_LASTS = _SLOTS['lasting_damage', 'D']
+_D_EARLY = _SLOTS['early_damage', 'D']
+_EARLY = _SLOTS['early_damage', 'length']
+_D_EARLY_LASTS = _SLOTS['early_lasting_damage', 'D']
+_EARLY_LASTS = _SLOTS['early_lasting_damage', 'length']
 _AGE = _SLOTS['ageing', 'rate']
 _AGE_BY_TRIAL = _SLOTS['ageing_by_trial', 'rate']
 _FAD = _SLOTS['adhesion', 'F_ad']
@@ -566,6 +579,10 @@ def _stage(  # type: ignore[no-untyped-def]
     threshold = q[_FY] / factor
     k1 = q[0] * base[_TURN]
     beta, damage = q[_BETA], q[_D] + q[_D_LASTS]
+    early, early_length = q[_D_EARLY], q[_EARLY]
+    if q[_D_EARLY_LASTS] != 0.0:
+        early, early_length = q[_D_EARLY_LASTS], q[_EARLY_LASTS]
+    early /= 1.0 - np.exp(-d_ref / early_length)
     exponent, growth_exponent = 1.0 / q[_N], q[_M_GROWTH]
     soft0, softm = 1.0 / q[_K0], 1.0 / q[_KM]
     x_before, v_before = base[_H], base[_V]
@@ -598,11 +615,13 @@ def _stage(  # type: ignore[no-untyped-def]
     for _ in range(_MOST_ITERATIONS):
         square = beta * z * z
         stiffness, slope = k1 * (1.0 + square), k1 * (1.0 + 3.0 * square)
-        if damage != 0.0:
-            left = 1.0 - damage * max(z, z_max) / d_ref
+        if damage != 0.0 or early != 0.0:
+            farthest = max(z, z_max)
+            kept_back = np.exp(-farthest / early_length)
+            left = 1.0 - damage * farthest / d_ref - early * (1.0 - kept_back)
             slope *= left
             if z > z_max:
-                slope -= stiffness * z * damage / d_ref
+                slope -= stiffness * z * (damage / d_ref + early * kept_back / early_length)
             stiffness *= left
         f = c1 * (z - base[_Z]) / e + stiffness * z
         df = c1 / e + slope

@@ -147,6 +147,8 @@ _MAKERS: Final[Mapping[str, _Maker]] = {
     'necking': lambda s, u, k: (s * k.force, 0.01 * 10.0**u * k.depth),
     'stringing': lambda s, u, k: (s * k.force, 0.01 * 10.0**u * k.depth),
     'lasting_damage': lambda s, u, k: (min(s, 0.95),),
+    'early_damage': lambda s, u, k: (min(s, 0.95), (0.1 + 0.3 * u) * k.depth),
+    'early_lasting_damage': lambda s, u, k: (min(s, 0.95), (0.1 + 0.3 * u) * k.depth),
     'poroelasticity': lambda s, u, k: (
         s * k.force / k.depth,
         k.body.relaxation_time * 10.0 ** (1.5 * u - 1.25),

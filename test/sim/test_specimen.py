@@ -310,6 +310,8 @@ CLEAR = {
     'necking': (0.5, 3e-4),
     'stringing': (0.5, 3e-4),
     'lasting_damage': (0.3,),
+    'early_damage': (0.3, 1e-3),
+    'early_lasting_damage': (0.3, 1e-3),
     'inertia': (0.5,),
     'machine_compliance': (2e4,),
     'poroelasticity': (300.0, 3.0),

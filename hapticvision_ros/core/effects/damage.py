@@ -14,8 +14,10 @@
 
 """Stiffness lost with the largest stretch so far."""
 
+import cmath
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 from typing import Final
 
 from hapticvision_ros.core.effects.declaration import Draft, DrivenTrial, Effect, EffectParameter
@@ -26,11 +28,54 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     draft.add(Slot.DAMAGE, values[0])
 
 
+def _saturating(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    lost, saturation = values[:2]
+    draft.add(Slot.DAMAGE, lost * saturation / (1.0 - cmath.exp(-saturation)))
+    draft.add(Slot.SATURATION, saturation)
+
+
+def _stretched(draft: Draft, kappa: complex, trial: DrivenTrial) -> None:
+    # Beyond d_ref, as before a push that is predicted, nothing would be left of K1.
+    draft.add(Slot.STRETCHED, kappa * min(trial.depth_before, trial.reference_depth))
+
+
 def _lasting(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     _shape(draft, values, trial)
-    # Beyond d_ref, as before a push that is predicted, nothing would be left of K1.
-    draft.add(Slot.STRETCHED, values[1] * min(trial.depth_before, trial.reference_depth))
+    _stretched(draft, values[1], trial)
 
+
+def _lasting_saturating(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
+    _saturating(draft, values, trial)
+    _stretched(draft, values[2], trial)
+
+
+_D: Final = EffectParameter(
+    'D',
+    '-',
+    'share of K1 that is lost when its stretch has reached d_ref',
+    0.0,
+    0.95,
+    lambda scale: 0.1,
+)
+_S: Final = EffectParameter(
+    's',
+    '-',
+    'how often the rate of the loss falls to 1/e until the stretch has reached d_ref',
+    0.1,
+    50.0,
+    lambda scale: 3.0,
+    neutral=math.nan,
+    log=True,
+    scan=(0.4, 1.0, 3.0),
+)
+_KAPPA: Final = EffectParameter(
+    'kappa',
+    '-',
+    'stretch of K1 over the depth, of the deepest push before a trial',
+    0.0,
+    1.0,
+    lambda scale: 0.7,
+)
 
 _OF_A_TRIAL: Final = Effect(
     name='damage',
@@ -39,16 +84,7 @@ _OF_A_TRIAL: Final = Effect(
     sketch="""
     K1(z_max) = K1 (1 - D z_max / d_ref),  z_max the largest stretch of K1 so far in the trial
     """,
-    parameters=(
-        EffectParameter(
-            'D',
-            '-',
-            'share of K1 that is lost when its stretch has reached d_ref',
-            0.0,
-            0.95,
-            lambda scale: 0.1,
-        ),
-    ),
+    parameters=(_D,),
     validity='Each trial starts on an unharmed place; the loss grows linearly with the stretch.',
     signature=(
         'Deep pushes are softer than shallow ones, and what comes after the largest stretch is '
@@ -61,38 +97,50 @@ _OF_A_TRIAL: Final = Effect(
     ),
     shape=_shape,
 )
-
-EFFECT = replace(
-    _OF_A_TRIAL,
-    laws=(
-        _OF_A_TRIAL.following(
-            'lasting',
-            sketch="""
+_SATURATES: Final = _OF_A_TRIAL.following(
+    'saturating',
+    sketch="""
+    K1(z_max) = K1 (1 - D (1 - exp(-s z_max / d_ref)) / (1 - exp(-s))),
+    z_max the largest stretch of K1 so far in the trial
+    """,
+    validity='Each trial starts on an unharmed place; what can be lost is lost early.',
+    source=(
+        'C. Miehe, Eur. J. Mech. A/Solids 14, 1995, 697-720 (damage that saturates '
+        'exponentially with the largest strain so far).'
+    ),
+    shape=_saturating,
+    parameters=(_D, _S),
+)
+_LASTS: Final = _OF_A_TRIAL.following(
+    'lasting',
+    sketch="""
     K1(z_max) = K1 (1 - D z_max / d_ref),  z_max the largest stretch of K1 so far in the campaign,
     before a trial kappa times the depth of the deepest push before it
     """,
-            validity=(
-                'All trials at one place, which does not heal between them; the deepest pushes '
-                'stretch K1 by the same part of their depth. Of earlier pushes those count that '
-                'are fitted together.'
-            ),
-            source=(
-                'J. Diani, B. Fayolle and P. Gilormini, Eur. Polym. J. 45, 2009, 601-612, '
-                'doi:10.1016/j.eurpolymj.2008.11.017 (softening by the largest strain ever, which '
-                'stays).'
-            ),
-            shape=_lasting,
-            parameters=(
-                *_OF_A_TRIAL.parameters,
-                EffectParameter(
-                    'kappa',
-                    '-',
-                    'stretch of K1 over the depth, of the deepest push before a trial',
-                    0.0,
-                    1.0,
-                    lambda scale: 0.7,
-                ),
-            ),
-        ),
+    validity=(
+        'All trials at one place, which does not heal between them; the deepest pushes '
+        'stretch K1 by the same part of their depth. Of earlier pushes those count that '
+        'are fitted together.'
     ),
+    source=(
+        'J. Diani, B. Fayolle and P. Gilormini, Eur. Polym. J. 45, 2009, 601-612, '
+        'doi:10.1016/j.eurpolymj.2008.11.017 (softening by the largest strain ever, which '
+        'stays).'
+    ),
+    shape=_lasting,
+    parameters=(_D, _KAPPA),
 )
+_LASTS_AND_SATURATES: Final = _OF_A_TRIAL.following(
+    'lasting_saturating',
+    sketch="""
+    K1(z_max) = K1 (1 - D (1 - exp(-s z_max / d_ref)) / (1 - exp(-s))),
+    z_max the largest stretch of K1 so far in the campaign, before a trial kappa times the depth
+    of the deepest push before it
+    """,
+    validity=f'{_LASTS.validity} What can be lost is lost early.',
+    source=f'{_LASTS.source} {_SATURATES.source}',
+    shape=_lasting_saturating,
+    parameters=(_D, _S, _KAPPA),
+)
+
+EFFECT = replace(_OF_A_TRIAL, laws=(_SATURATES, _LASTS, _LASTS_AND_SATURATES))

@@ -89,7 +89,7 @@ class Slot(IntEnum):
     STIFFENING = 5
     """beta of K1 (1 + beta z^2) [1/m^2]."""
     DAMAGE = 6
-    """D of K1 (1 - D z_max / d_ref) [-]."""
+    """Share of K1 that is lost where its stretch reaches d_ref, at the first rate of loss [-]."""
     SERIES_COMPLIANCE = 7
     """1 / K_0 [m/N]."""
     MACHINE_COMPLIANCE = 8
@@ -112,6 +112,8 @@ class Slot(IntEnum):
     """Opening over which F_ad falls to 1/e instead [m]; zero where it does not."""
     STRETCHED = 17
     """Largest stretch of K1 before the trial [m]."""
+    SATURATION = 18
+    """How often the rate of loss falls to 1/e until d_ref [-]; zero where it does not fall."""
 
 
 def neutral() -> FloatArray:
@@ -120,7 +122,7 @@ def neutral() -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (18,)
+    ndarray, shape (19,)
         Zeros, a Newtonian dashpot, and ones for K1, C2 and the reference depth.
 
     """
@@ -136,7 +138,7 @@ class Chain:
 
     Parameters
     ----------
-    slots : ndarray, shape (18,) or (p, 18)
+    slots : ndarray, shape (19,) or (p, 19)
         One number for each `Slot`.
     unit_stiffness, unit_viscosity : ndarray, shape (n,) or (p, n)
         K_i [N/m] and C_i [N.s/m] of the further Kelvin-Voigt units.
@@ -237,6 +239,7 @@ _MASS = int(Slot.MASS)
 _OPEN = int(Slot.OPENING)
 _DECAY = int(Slot.DECAY)
 _STRETCHED = int(Slot.STRETCHED)
+_SATURATION = int(Slot.SATURATION)
 
 _TOLERANCE = 1e-6
 """Relative change of u at which Newton's iteration may take its last, quadratic step."""
@@ -400,18 +403,26 @@ def _lead(  # type: ignore[no-untyped-def]
 
 
 @kernel(inline='always', error_model='numpy')
+def _worn(stretch, saturation, d_ref):  # type: ignore[no-untyped-def]
+    """Return the loss of K1 by its largest stretch, over D, and the slopes in both."""
+    part = stretch / d_ref
+    if saturation == 0.0:
+        return part, 1.0 / d_ref, -0.5 * part * part
+    rate = np.exp(-saturation * part)
+    loss = -np.expm1(-saturation * part) / saturation
+    return loss, rate / d_ref, (part * rate - loss) / saturation
+
+
+@kernel(inline='always', error_model='numpy')
 def _retarded_unit(  # type: ignore[no-untyped-def]
-    u, z, z_max, h, k1, c1, against, beta, damage, d_ref
+    u, z, z_max, h, k1, c1, against, beta, damage, saturation, d_ref
 ):
     """Return mean force, its slope in u, stiffness, its slope in z, the weight's two, middle."""
     middle = z + 0.5 * u
     stiffening = 1.0 + beta * middle * middle
-    if middle > z_max:
-        left = 1.0 - damage * middle / d_ref
-        d_left = -damage / d_ref
-    else:
-        left = 1.0 - damage * z_max / d_ref
-        d_left = 0.0
+    worn, wears, _bends = _worn(max(middle, z_max), saturation, d_ref)
+    left = 1.0 - damage * worn
+    d_left = -damage * wears if middle > z_max else 0.0
     k = k1 * stiffening * left
     dk = k1 * (2.0 * beta * middle * left + stiffening * d_left)
     e, e_k, e_x = _memory_weight(k, c1, h, against)
@@ -497,7 +508,7 @@ def _respond(  # type: ignore[no-untyped-def]
     units = ku.size
     directions = dq.shape[0]
     k1, c1, c2, f_y = q[_K1], q[_C1], q[_C2], q[_FY]
-    beta, damage, d_ref = q[_BETA], q[_D], q[_DREF]
+    beta, damage, saturation, d_ref = q[_BETA], q[_D], q[_SATURATION], q[_DREF]
     c0, cm, kp, m = q[_C0], q[_CM], q[_KP], q[_M]
     f_ad, offset, opening, decay = q[_FAD], q[_OFF], q[_OPEN], q[_DECAY]
     p = 1.0 / q[_N]
@@ -1159,7 +1170,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         slope = e
                     else:
                         fc, slope, stiffness, d_stiffness, e_k, e_x, middle = _retarded_unit(
-                            u, z, z_max, hs, k1, c1, against, beta, damage, d_ref
+                            u, z, z_max, hs, k1, c1, against, beta, damage, saturation, d_ref
                         )
                     flow, fluid, excess = _flow_unit(fc, c2, f_y, p, flow_series)
                     x_end = rest + u + hs * flow + ce * fc
@@ -1233,8 +1244,9 @@ def _respond(  # type: ignore[no-untyped-def]
                 if probing:
                     dzu_kept[:] = dzu
                 stiffening = 1.0 + beta * middle * middle
-                growing = not plain and middle > z_max
-                left = 1.0 - damage * (middle if growing else z_max) / d_ref
+                growing = middle > z_max
+                worn, wears, bends = _worn(middle if growing else z_max, saturation, d_ref)
+                left = 1.0 - damage * worn
                 inverse = 1.0 / g_slope
                 per_hs = 1.0 / hs
                 per_against = e_x / against if against > 0.0 else 0.0
@@ -1253,11 +1265,10 @@ def _respond(  # type: ignore[no-untyped-def]
                         dk = dq[j, _K1] * (stiffness * k1_inverse) + d_stiffness * dz[j]
                     if not plain or dq[j, _BETA] != 0.0 or dq[j, _D] != 0.0:
                         dk += k1 * middle * middle * dq[j, _BETA] * left
-                        if middle > z_max:
-                            d_left = dq[j, _D] * middle
-                        else:
-                            d_left = dq[j, _D] * z_max + damage * dz_max[j]
-                        dk -= k1 * stiffening * d_ref_inverse * d_left
+                        d_lost = dq[j, _D] * worn + damage * bends * dq[j, _SATURATION]
+                        if not growing:
+                            d_lost += damage * wears * dz_max[j]
+                        dk -= k1 * stiffening * d_lost
                     de = e_k * dk + dq[j, _C1] * (per_hs - per_against)
                     de += (e_x - c1 * per_hs) * per_hs * dhs
                     if bound_to_tool:

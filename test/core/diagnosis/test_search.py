@@ -192,6 +192,8 @@ def test_another_law_must_show_an_effect_where_late_stamps_leave_none(
         (Undeclared('necking', (0.3, 4e-4)), 19, 'adhesion:cohesive_zone'),
         (Undeclared('stringing', (0.3, 4e-4)), 19, 'adhesion:fading_zone'),
         (Undeclared('lasting_damage', (0.4,)), 22, 'damage:lasting'),
+        (Undeclared('early_damage', (0.5, 2e-3)), 24, 'damage:saturating'),
+        (Undeclared('early_lasting_damage', (0.5, 2e-3)), 25, 'damage:lasting_saturating'),
     ],
     ids=lambda value: getattr(value, 'name', ''),
 )

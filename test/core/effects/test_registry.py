@@ -74,8 +74,10 @@ STRONG = {
     'delta_c': 2e-4,
     'delta_e': 2e-4,
     'T_f': 0.05,
+    's': 5.0,
+    'kappa': 0.2,
 }
-"""Strengths where the first guess is the absence."""
+"""Strengths where the first guess is the absence, or leaves little to be seen."""
 
 every = pytest.mark.parametrize('effect', EVERY_LAW, ids=lambda effect: effect.name)
 

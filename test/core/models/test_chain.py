@@ -55,6 +55,7 @@ class Body:
     n: float = 1.0
     beta: float = 0.0
     D: float = 0.0
+    s: float = 0.0
     K_0: float = math.inf
     K_m: float = math.inf
     K_p: float = 0.0
@@ -76,7 +77,7 @@ class Body:
         slots[Slot.PARALLEL_STIFFNESS], slots[Slot.CONTACT_EXPONENT] = self.K_p, self.m
         slots[Slot.REFERENCE_DEPTH], slots[Slot.ADHESION] = DEPTH, self.F_ad
         slots[Slot.MASS], slots[Slot.OPENING] = self.M, self.delta_c
-        slots[Slot.DECAY] = self.delta_e
+        slots[Slot.DECAY], slots[Slot.SATURATION] = self.delta_e, self.s
         units = np.array(self.units).reshape(-1, 2)
         return Chain(slots, units[:, 0].copy(), units[:, 1].copy())
 
@@ -338,25 +339,37 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
         assert found == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
 
 
-def test_damage_of_earlier_pushes_stays() -> None:
+@pytest.mark.parametrize(
+    ('effect', 'damage', 'saturation'),
+    [
+        (Undeclared('lasting_damage', (0.3,)), 0.3, 0.0),
+        # A length of a quarter of d_ref.
+        (Undeclared('early_lasting_damage', (0.3, 0.25 * DEPTH)), 1.2 / (1 - math.exp(-4)), 4.0),
+    ],
+    ids=['linear', 'saturating'],
+)
+def test_damage_of_earlier_pushes_stays(
+    effect: Undeclared, damage: float, saturation: float
+) -> None:
     """Against the simulated world, beyond and below what has been stretched before."""
-    body = Body(D=0.3)
+    body = Body(D=damage, s=saturation)
     t = np.linspace(0.0, 40.0, 4001)
     d = np.interp(t, KNOT_T, KNOT_D)
     motion = Motion(KNOT_T[:-1], KNOT_D[:-1], np.diff(KNOT_D) / np.diff(KNOT_T), np.zeros(3))
-    vector = parameter_vector(specimen.Body(K1, C1, C2), [Undeclared('lasting_damage', (0.3,))])
+    vector = parameter_vector(specimen.Body(K1, C1, C2), [effect])
     fresh = respond(t, d, body.chain()).force
-    for before in (0.002, 0.02):
+    slots = (Slot.STRETCHED, Slot.DAMAGE, *((Slot.SATURATION,) if saturation else ()))
+    for before in (0.002, 0.012):
         world = integrate(t, motion, vector, reference_depth=DEPTH, stretched=before)
         impulse = np.concatenate(([0.0], np.cumsum(world.force * np.diff(world.t))))
         force = np.diff(np.interp(t, world.t, impulse)) / np.diff(t)
         chain = body.chain()
         chain.slots[Slot.STRETCHED] = before
-        found = respond(t, d, chain, _along(Slot.STRETCHED, Slot.DAMAGE))
+        found = respond(t, d, chain, _along(*slots))
         near = np.abs(t[1:] - world.t_loss) < 0.03
         assert np.abs(found.force - force)[~near].max() < 3e-4 * force.max()
         assert np.abs(found.force - fresh).max() > 2e-3 * force.max()
-        for slot, tangent in zip((Slot.STRETCHED, Slot.DAMAGE), found.force_tangent, strict=True):
+        for slot, tangent in zip(slots, found.force_tangent, strict=True):
             slope = _slope(chain, slot, t, d)
             assert tangent == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
 
