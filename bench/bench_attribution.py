@@ -45,7 +45,6 @@ from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.errors import InputError, UsageError
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import prepare
-from hapticvision_ros.core.fit.least_squares import minimise
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import Trial
@@ -177,9 +176,7 @@ class BaseMisfit:
         problem, sensors = found.problem, self.campaign.sensors
         force = remembering(sensors.force_noise) if memory else white(sensors.force_noise.std)
         problem.set_noise(force, white(sensors.height_noise))
-        best = minimise(
-            problem.evaluate, found.state, problem.bounds, tolerance=1e-9, max_evaluations=60
-        )
+        best = problem.search(found.state, tolerance=1e-9, max_evaluations=60)
         samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in problem.trials)
         return best.cost, samples
 

@@ -393,7 +393,12 @@ class _Rival:
             return np.append(residual, _FLOOR), np.vstack((jacobian, np.zeros(problem.size)))
 
         end = minimise(
-            evaluate, begin, problem.bounds, tolerance=_TOLERANCE, max_evaluations=_STEPS
+            evaluate,
+            begin,
+            problem.bounds,
+            reach=problem.reach,
+            tolerance=_TOLERANCE,
+            max_evaluations=_STEPS,
         )
         squares = end.cost - _FLOOR**2
         if squares > _PASSES * self._bench.samples:

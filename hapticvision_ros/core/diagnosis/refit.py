@@ -50,7 +50,7 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.least_squares import minimise, triangle
+from hapticvision_ros.core.fit.least_squares import triangle
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     Record,
@@ -272,10 +272,8 @@ class Workbench:
         for state in look.starts:
             with contextlib.suppress(ValueError):
                 ends.append(
-                    minimise(
-                        problem.evaluate,
+                    problem.search(
                         state,
-                        problem.bounds,
                         tolerance=1e-4,
                         max_evaluations=_LOOKS,
                     )
@@ -503,6 +501,10 @@ class Workbench:
         bodies = [body]
         if body['C1'] < _NEGLIGIBLE * body['C2']:
             bodies.append({**body, 'C1': _MODERATE * body['C2']})
+        # Likewise a flow, which would give way as much as K1 while the tool touches.
+        flowing = body['K1'] * scale.contact_time
+        if flowing < _NEGLIGIBLE * body['C2']:
+            bodies.append({**body, 'C2': flowing})
         slow = slow_body(self.trials, body)
         if slow is not None:
             bodies.append(slow)
@@ -584,10 +586,8 @@ class Workbench:
             if turn and replace_onsets(problem, state, force, SHARPEST):
                 blur = problem.sharpest(state, force, blur)
                 problem.set_noise(force, height, problem.unsure(state, blur))
-            state = minimise(
-                problem.evaluate,
+            state = problem.search(
                 state,
-                problem.bounds,
                 tolerance=_TOLERANCE if turn else 1e-4,
                 max_evaluations=_STEPS,
             ).theta
@@ -607,10 +607,8 @@ class Workbench:
         assert best is not None
         # The noise goes with the parameters that it was seen beside.
         problem.set_noise(best.force_noise, best.height_noise, best.jumps)
-        solution = minimise(
-            problem.evaluate,
+        solution = problem.search(
             best.state,
-            problem.bounds,
             tolerance=_TOLERANCE,
             max_evaluations=_STEPS,
         )

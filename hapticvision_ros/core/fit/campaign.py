@@ -122,6 +122,8 @@ _EDGE: Final = 4.0
 _CLEARANCE: Final = 0.1
 """Steps, samples before the touch, and way above the surface over the depth, without contact."""
 _SLOWER: Final = 2.0
+_REACH: Final = 3.0
+"""How far the logarithm of a parameter goes in one step of a search."""
 _SEEN: Final = 12.0
 """Gain in likelihood from which on slower noise is seen without contact."""
 _WANDERS: Final = 4.0
@@ -413,6 +415,43 @@ class Problem:
             lower[place.start] = -_FARTHEST_ONSET * trial.onset_std
             upper[place.start] = _FARTHEST_ONSET * trial.onset_std
         self.bounds = (lower, upper)
+        self.reach = np.full(stop, np.inf)
+        self.reach[: self.p] = np.where(model.log, _REACH, np.inf)
+
+    def search(
+        self, state: FloatArray, *, tolerance: float, max_evaluations: int = 200
+    ) -> Solution:
+        """
+        Search for the least squares from a state.
+
+        Parameters
+        ----------
+        state : ndarray
+            Where to start.
+        tolerance : float
+            The search ends where the linear model promises a smaller relative drop.
+        max_evaluations : int
+            Or after this many evaluations.
+
+        Returns
+        -------
+        Solution
+            The best state found.
+
+        Raises
+        ------
+        NotFiniteError
+            If the model is not finite at the start.
+
+        """
+        return minimise(
+            self.evaluate,
+            state,
+            self.bounds,
+            reach=self.reach,
+            tolerance=tolerance,
+            max_evaluations=max_evaluations,
+        )
 
     def set_noise(
         self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray] | None = None
@@ -815,9 +854,7 @@ def in_order(problem: Problem, state: FloatArray, base: Mapping[str, float]) -> 
     residual, _ = problem.evaluate(state)
     # Another effect may act on one of the two alone.
     try:
-        found = minimise(
-            problem.evaluate, exchanged, problem.bounds, tolerance=1e-4, max_evaluations=_LOOKS
-        )
+        found = problem.search(exchanged, tolerance=1e-4, max_evaluations=_LOOKS)
     except NotFiniteError:
         return state
     return found.theta if found.cost < float(residual @ residual) + _SAME else state
@@ -1108,10 +1145,10 @@ def _ends(
     """Return where the searches end, each with the noise that its residual shows."""
     if near is None:
         force_noise, height_noise = _first_noise(usable)
-        problem, states = _search(usable, model, start, force_noise, height_noise)
+        problem, states, body = _search(usable, model, start, force_noise, height_noise)
     else:
         force_noise, height_noise = near.noise.force, near.noise.height
-        problem = Problem(model, usable)
+        problem, body = Problem(model, usable), None
         states = [carried(near.problem, near.state, problem)]
     blur = _SAMPLE if near is None else near.noise.blur
     limit = _known_memory(usable, near) or longest_memory(usable)
@@ -1121,9 +1158,7 @@ def _ends(
         # Each has a problem of its own, whose weights are those of its noise.
         own = Problem(model, usable, scatter)
         begin = carried(problem, state, own)
-        ends.append(
-            _weighted(own, begin, force_noise, height_noise, blur, limit, fresh=near is None)
-        )
+        ends.append(_weighted(own, begin, force_noise, height_noise, blur, limit, body=body))
     return ends
 
 
@@ -1142,9 +1177,13 @@ def _weighted(
     blur: Blur,
     limit: 'Memory',
     *,
-    fresh: bool,
+    body: Mapping[str, float] | None,
 ) -> _End:
-    """Return the best parameters with the noise that their residual shows."""
+    """
+    Return the best parameters with the noise that their residual shows.
+
+    A search that is fresh has a body that the base model shows.
+    """
     trials = problem.trials
     for turn in range(_ROUNDS):
         moved = replace_onsets(problem, state, force_noise, _HALF) if turn else False
@@ -1153,7 +1192,7 @@ def _weighted(
             blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         jumps = problem.unsure(state, blur)
         forces, heights = problem.noise_records(state, jumps)
-        before, first = force_noise, turn == 0 and fresh
+        before, first = force_noise, turn == 0 and body is not None
         if first:
             # The second turn looks at all of them.
             step = max(1, len(forces) // _FIRST_RECORDS)
@@ -1171,8 +1210,11 @@ def _weighted(
         # Error bars are those of moments known to a sample, however sharp these look.
         blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         problem.set_noise(force_noise, height_noise, problem.unsure(state, blur))
-        solution = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE)
+        solution = problem.search(state, tolerance=_TOLERANCE)
         state = solution.theta
+        if body is not None and turn == 0:
+            # The next turn goes on from there.
+            state = in_order(problem, state, body)
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
             scatter = problem.scatter if problem.scatter.size else None
@@ -1477,8 +1519,8 @@ def _search(
     start: Mapping[str, float] | None,
     force_noise: SensorNoise,
     height_noise: SensorNoise,
-) -> tuple[Problem, list[FloatArray]]:
-    """Return the problem with white noise, and the states from several starts, best first."""
+) -> tuple[Problem, list[FloatArray], dict[str, float]]:
+    """Return the problem with white noise, states from several starts, and the base's body."""
     base = Model()
     body = identify(trials, force_noise.std)
     values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
@@ -1498,7 +1540,7 @@ def _search(
             find_onsets(problem, state)
             # Where the force jumps depends on the onsets.
             problem.set_noise(force_noise, height_noise, problem.unsure(state))
-            state = minimise(problem.evaluate, state, problem.bounds, tolerance=1e-4).theta
+            state = problem.search(state, tolerance=1e-4).theta
         problem.set_noise(force_noise, height_noise, problem.unsure(state))
         residual, _ = problem.evaluate(state)
         ends.append((float(residual @ residual) + problem.log_determinant, state))
@@ -1506,9 +1548,10 @@ def _search(
     ends.sort(key=lambda end: end[0])
     state = ends[0][1]
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
+    K1, C1, C2 = base.values(state[:3]).tolist()
+    shown = {'K1': K1, 'C1': C1, 'C2': C2}
     if not model.effects:
-        return problem, [each for _, each in ends]
-    K1, C1, C2 = base.values(state[:3])
+        return problem, [each for _, each in ends], shown
     scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
     whole.set_noise(force_noise, height_noise, problem.unsure(state))
@@ -1530,23 +1573,17 @@ def _search(
             break
         turn_phases(whole, begin)
         with contextlib.suppress(ValueError):
-            tried.append(
-                minimise(
-                    whole.evaluate, begin, whole.bounds, tolerance=1e-3, max_evaluations=_LOOKS
-                )
-            )
+            tried.append(whole.search(begin, tolerance=1e-3, max_evaluations=_LOOKS))
     if not tried:
         raise UsageError(f'the model {model.name} cannot be evaluated near any start')
     best = min(tried, key=lambda found: found.cost)
-    best = minimise(
-        whole.evaluate, best.theta, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS
-    )
+    best = whole.search(best.theta, tolerance=1e-4, max_evaluations=_STEPS)
     # What the model lacked has moved the onsets.
     again = best.theta.copy()
     find_onsets(whole, again)
-    moved = minimise(whole.evaluate, again, whole.bounds, tolerance=1e-4, max_evaluations=_STEPS)
+    moved = whole.search(again, tolerance=1e-4, max_evaluations=_STEPS)
     state = min((best, moved), key=lambda found: found.cost).theta
-    return whole, [in_order(whole, state, {'K1': K1, 'C1': C1, 'C2': C2})]
+    return whole, [state], shown
 
 
 def slow_body(trials: Sequence[FitTrial], body: Mapping[str, float]) -> dict[str, float] | None:

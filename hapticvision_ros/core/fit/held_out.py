@@ -611,7 +611,7 @@ def refit_without(
         # Where the force jumps, and so what a sample weighs, is seen by the others alone.
         jumps = problem.unsure(state, fit.noise.blur)
         problem.set_noise(fit.noise.force, fit.noise.height, jumps)
-        state = minimise(problem.evaluate, state, problem.bounds, tolerance=_TOLERANCE).theta
+        state = problem.search(state, tolerance=_TOLERANCE).theta
     return replace(Trained.of(fit, campaign), theta=state[: problem.p].copy())
 
 

@@ -171,6 +171,11 @@ def _least(fit: Fit, place: int, value: float, state: FloatArray) -> tuple[float
         return residual, jacobian[:, others]
 
     solution = minimise(
-        held, state[others], (lower[others], upper[others]), tolerance=1e-6, max_evaluations=30
+        held,
+        state[others],
+        (lower[others], upper[others]),
+        reach=fit.problem.reach[others],
+        tolerance=1e-6,
+        max_evaluations=30,
     )
     return solution.cost, np.insert(solution.theta, place, value)

@@ -206,6 +206,7 @@ def minimise(
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None = None,
     *,
+    reach: FloatArray | None = None,
     tolerance: float = 1e-10,
     step_tolerance: float = 0.0,
     max_evaluations: int = 200,
@@ -225,6 +226,10 @@ def minimise(
         Where to start; moved into the bounds.
     bounds : (ndarray, ndarray), optional
         Least and greatest theta, shapes (p,).
+    reach : ndarray, shape (p,), optional
+        The largest change of each parameter in one step. One that hardly matters where the search
+        starts has next to no say in the trust region, which shrinks to nothing before such a
+        parameter is kept from going astray.
     tolerance : float
         The search ends where the linear model promises a smaller relative drop of the cost.
     step_tolerance : float
@@ -267,6 +272,8 @@ def minimise(
             step, promised = _step(singular, right, projected, radius)
             move = np.zeros(theta.size)
             move[free] = step / scale[free]
+            if reach is not None:
+                np.clip(move, -reach, reach, out=move)
             trial = np.clip(theta + move, lower, upper)
             taken = float(np.linalg.norm(scale * (trial - theta)))
             size = max(float(np.linalg.norm(scale * theta)), 1e-300)

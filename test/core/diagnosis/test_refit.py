@@ -148,6 +148,25 @@ def test_what_later_effects_have_made_superfluous_is_taken_out(
     assert chosen.deviance == pytest.approx(found.deviance, abs=1.0)
 
 
+@pytest.mark.parametrize('scatter', [None, 0.1], ids=['alike', 'scattering'])
+def test_what_a_model_without_an_effect_has_done_without_holds_up_no_search(
+    scatter: float | None, world: Any
+) -> None:
+    """As it does without C1 and flow, where neither lowers what the effect leaves."""
+    measured = world.measure(world.campaign(), Undeclared('contact_growth', (0.5,)), seed=3)
+    bench, base = measured.bench(scatter)
+    state = base.state.copy()
+    state[1:3] = np.log([1e-6, 1e12])
+    stiff = replace(base, state=state)
+    for effect in ('contact_growth', 'springpot'):
+        model = Model((effect,))
+        usual, found = bench.refit(model, base), bench.refit(model, stiff)
+        assert usual is not None
+        assert found is not None
+        assert base.deviance - usual.deviance > 100.0
+        assert found.deviance < usual.deviance + 3.0
+
+
 def test_each_parameter_costs_the_logarithm_of_the_samples(lacking: Bench) -> None:
     bench, _ = lacking
     own = [t.force_count.astype(bool).sum() + t.height_t.size for t in bench.trials]

@@ -22,6 +22,7 @@ domain), https://www.itl.nist.gov/div898/strd/.
 
 from collections.abc import Callable
 import json
+import math
 from pathlib import Path
 
 from hapticvision_ros.core.fit.least_squares import (
@@ -146,6 +147,23 @@ def test_a_bound_holds_what_would_cross_it() -> None:
     np.testing.assert_allclose(solution.theta, [1.0, 2.0], atol=1e-12)
     assert solution.at_bound.tolist() == [False, True]
     assert solution.covariance()[1, 1] == 0.0
+
+
+def test_what_hardly_matters_at_the_start_does_not_hold_up_the_others() -> None:
+    """The logarithm of a strength of nearly nothing, which the first steps would send anywhere."""
+    x = np.linspace(0.1, 1.0, 10)
+
+    def bent(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with np.errstate(over='ignore'):
+            bend = np.exp(theta[1]) * x**2
+        value = 5.0 * x + 2.0 * x**2
+        return theta[0] * x + bend - value, np.stack((x, bend), axis=1)
+
+    start = np.array([6.0, math.log(1e-6)])
+    lost = minimise(bent, start, max_evaluations=16)
+    assert lost.cost > 0.5 * float(bent(start)[0] @ bent(start)[0])
+    found = minimise(bent, start, reach=np.array([np.inf, 3.0]), max_evaluations=16)
+    assert found.theta == pytest.approx([5.0, math.log(2.0)], rel=1e-3)
 
 
 def test_a_direction_in_which_nothing_changes_has_no_error() -> None:
