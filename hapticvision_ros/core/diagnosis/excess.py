@@ -311,6 +311,10 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
         forces.append((trial.name, *_parted(t[good], residual[good], trial, phase, after=True)))
         if full.height_t.size:
             residual = full.height - prediction.height - height_zero
+            # What stamps that are off make of a surface that moves is no noise of the sensor.
+            noise = found.height_noise.std
+            if noise > 0.0:
+                residual /= np.sqrt(1.0 + height_blocks(full).extra / noise**2)
             # What the range sensor sees of the recovery is no silence.
             parts = _parted(full.height_t, residual, trial, phase, after=False)
             heights.append((trial.name, *parts))

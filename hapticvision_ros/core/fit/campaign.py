@@ -876,7 +876,18 @@ def force_blocks(trial: FitTrial, extra: FloatArray | None = None) -> Blocks:
 def height_blocks(trial: FitTrial) -> Blocks:
     """Return how the height of a trial is averaged."""
     gaps = np.diff(trial.height_t, prepend=trial.height_t[0] - trial.height_interval)
-    return Blocks(gaps, trial.height_count, np.zeros(trial.height_t.size))
+    extra = np.zeros(trial.height_t.size)
+    if trial.height_jitter > 0.0:
+        # Whether a sample or only its stamp came off the clock is not known: where the tool moves
+        # the surface fast, few samples whose stamps are off would be a clock that is.
+        half = 0.5 * trial.height_interval
+        before, after = (
+            np.maximum(np.interp(trial.height_t + side, trial.t, trial.displacement), 0.0)
+            for side in (-half, half)
+        )
+        speed = (after - before) / trial.height_interval
+        extra = (speed * trial.height_jitter) ** 2 / trial.height_count
+    return Blocks(gaps, trial.height_count, extra)
 
 
 def _jumps(force: FloatArray, trial: FitTrial, blur: Blur = _SAMPLE) -> FloatArray:

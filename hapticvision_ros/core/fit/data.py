@@ -425,6 +425,8 @@ class FitTrial:
         Mean time of the samples that gave the force zero [s].
     interval, height_interval : float
         Usual interval between two samples of force and of height [s].
+    height_jitter : float
+        By how much the stamps of the heights are off a regular clock, as a standard deviation [s].
     onset_std : float
         How well the detected contact is known [m].
     has_force_zero, has_height_zero : bool
@@ -456,6 +458,7 @@ class FitTrial:
     zero_time: float
     interval: float
     height_interval: float
+    height_jitter: float
     onset_std: float
     has_force_zero: bool
     has_height_zero: bool
@@ -882,7 +885,7 @@ def _prepare(
     samples = _without(_without(samples, beside), ended, at_the_end=True)
     edges = samples.edges
     baseline = int(np.searchsorted(force.t, touch))
-    height_interval = 1.0
+    height_interval, height_jitter = 1.0, 0.0
     height_t = heights = np.empty(0)
     if height is not None:
         record = height.between(edges[0], edges[-1])
@@ -890,6 +893,7 @@ def _prepare(
             good = ~(suspects(record.value) | _astray(record, phases))
             height_t, heights = record.t[good], record.value[good]
             height_interval = float(np.median(np.diff(record.t)))
+            height_jitter = _scatter_of(record.t)
     raw = FitTrial(
         name=trial.name,
         t=edges,
@@ -905,6 +909,7 @@ def _prepare(
         zero_time=float(force.t[:baseline].mean()) if baseline else float(force.t[0]),
         interval=interval,
         height_interval=height_interval,
+        height_jitter=height_jitter,
         # The record of the force may have a gap where the tool touched.
         onset_std=max(_onset_std(force, path, touch, interval), phases.contact_height_std),
         has_force_zero=baseline >= _BASELINE or phases.t_loss is not None,
@@ -1286,13 +1291,20 @@ def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
     astray = np.zeros(value.size, dtype=np.bool_)
     if value.size < 8:
         return astray
-    noise = NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(value, 2)))) / math.sqrt(6.0)
+    noise = _scatter_of(value)
     astray = (noise > 0.0) & (_outside(value) > _ASTRAY * noise)
     reach = 2.0 * float(np.median(np.diff(t)))
     for event in (phases.t_hold, phases.t_release, phases.t_loss):
         if event is not None:
             astray &= np.abs(t - event) > reach
     return astray
+
+
+def _scatter_of(value: FloatArray) -> float:
+    """Return by how much values that go on evenly scatter, as a standard deviation."""
+    if value.size < 3:
+        return 0.0
+    return NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(value, 2)))) / math.sqrt(6.0)
 
 
 def _outside(value: FloatArray) -> FloatArray:

@@ -237,6 +237,26 @@ def test_stamps_of_the_arm_that_are_late_are_moved_and_no_effect(world: Any) -> 
     assert np.abs(off).max() < 0.01
 
 
+@pytest.mark.parametrize('effects', [(), ('clock_offset',)], ids=['none', 'late'])
+def test_heights_whose_stamps_are_off_by_chance_are_no_clock_that_is(
+    effects: tuple[str, ...], world: Any
+) -> None:
+    """Few heights are of a fast push: chance makes them early or late together."""
+    random = np.random.default_rng(32)
+
+    def stamped(trial: Trial) -> Trial:
+        height = trial.displacement_height
+        assert height is not None
+        off = 0.003 * np.clip(random.standard_normal(height.t.size), -4.0, 4.0)
+        return replace(trial, displacement_height=Signal(height.t + off, height.value))
+
+    pushes = (0.03, 0.006), (0.03, 0.003), (0.012, 0.006), (0.03, 0.0045)
+    acting = [Undeclared(name, (0.01,)) for name in effects]
+    found = diagnose(world.measure(world.campaign(pushes), *acting, seed=32, change=stamped).pairs)
+    assert found.effects == effects
+    assert found.status == ('explained' if effects else 'none')
+
+
 @pytest.mark.parametrize('seed', [21, 23])
 def test_nothing_stands_in_for_a_part_of_what_is_late(world: Any, seed: int) -> None:
     """At 100 Hz a machine that gives way beside late stamps looks like stamps less late."""
