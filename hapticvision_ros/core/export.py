@@ -187,6 +187,7 @@ def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) ->
         'n': ('n', '-', 1.0),
         'm': ('m', '-', 1.0),
         'D': ('D', '-', 1.0),
+        's': ('s', '-', 1.0),
         'alpha': ('alpha', '-', 1.0),
         'rate': ('rate', '1/h', 1.0),
     }
@@ -205,6 +206,7 @@ def _material(effect: str, name: str, estimate: Estimate, specimen: Specimen) ->
 _WITHOUT_FORM: Final = {
     'M': 'the mass that moves with the contact point is none of a volume of the material',
     'F_ad': 'a pull-off force goes with the edge of the contact, not with its area',
+    'kappa': 'what earlier pushes have stretched goes with the place, not with the material',
     'delta_c': 'the opening at which a pull ends is that of the surface, not of the material',
     'delta_e': 'the opening over which a pull fades is that of the surface, not of the material',
 }

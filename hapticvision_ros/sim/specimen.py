@@ -579,10 +579,8 @@ def _stage(  # type: ignore[no-untyped-def]
     threshold = q[_FY] / factor
     k1 = q[0] * base[_TURN]
     beta, damage = q[_BETA], q[_D] + q[_D_LASTS]
-    early, early_length = q[_D_EARLY], q[_EARLY]
-    if q[_D_EARLY_LASTS] != 0.0:
-        early, early_length = q[_D_EARLY_LASTS], q[_EARLY_LASTS]
-    early /= 1.0 - np.exp(-d_ref / early_length)
+    early = q[_D_EARLY] / (1.0 - np.exp(-d_ref / q[_EARLY]))
+    lasting = q[_D_EARLY_LASTS] / (1.0 - np.exp(-d_ref / q[_EARLY_LASTS]))
     exponent, growth_exponent = 1.0 / q[_N], q[_M_GROWTH]
     soft0, softm = 1.0 / q[_K0], 1.0 / q[_KM]
     x_before, v_before = base[_H], base[_V]
@@ -615,13 +613,15 @@ def _stage(  # type: ignore[no-untyped-def]
     for _ in range(_MOST_ITERATIONS):
         square = beta * z * z
         stiffness, slope = k1 * (1.0 + square), k1 * (1.0 + 3.0 * square)
-        if damage != 0.0 or early != 0.0:
+        if damage != 0.0 or early != 0.0 or lasting != 0.0:
             farthest = max(z, z_max)
-            kept_back = np.exp(-farthest / early_length)
-            left = 1.0 - damage * farthest / d_ref - early * (1.0 - kept_back)
+            fresh = early * np.exp(-farthest / q[_EARLY])
+            other = lasting * np.exp(-farthest / q[_EARLY_LASTS])
+            left = 1.0 - damage * farthest / d_ref - (early - fresh) - (lasting - other)
             slope *= left
             if z > z_max:
-                slope -= stiffness * z * (damage / d_ref + early * kept_back / early_length)
+                lost = damage / d_ref + fresh / q[_EARLY] + other / q[_EARLY_LASTS]
+                slope -= stiffness * z * lost
             stiffness *= left
         f = c1 * (z - base[_Z]) / e + stiffness * z
         df = c1 / e + slope

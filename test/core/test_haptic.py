@@ -52,7 +52,7 @@ KNOT_T = [0.0, 0.2, 1.2, 2.5, 3.0, 3.3, 4.0, 4.5, 5.0, 6.0]
 KNOT_D = [-0.001, -0.001, 0.009, 0.0092, 0.002, 0.002, 0.008, -0.005, -0.004, 0.006]
 """A push, a hold, a withdrawal and a second push on the dent, the air, and a third."""
 OF_THE_OBJECT = [effect.name for effect in EFFECTS if effect.kind == 'object']
-OF_THE_OBJECT += ['damage:lasting', 'damage:saturating']
+OF_THE_OBJECT += ['damage:lasting', 'damage:saturating', 'damage:lasting_saturating']
 OF_THE_OBJECT += ['adhesion:cohesive_zone', 'adhesion:fading_zone']
 TOGETHER = [
     ('yield_force', 'series_spring', 'strain_stiffening'),

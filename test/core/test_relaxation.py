@@ -167,7 +167,7 @@ def test_an_impulse_needs_a_shortest_time_and_is_right_beyond_it() -> None:
 def test_a_nonlinear_body_is_refused_unless_the_point_is_named() -> None:
     values = {'F_y': 3.0, 'n': 0.5, 'beta': 1e3, 'D': 0.3, 's': 4.0, 'm': 0.5, 'a': 90.0}
     values |= {'kappa': 0.7}
-    for name in (*NONLINEAR, 'damage:lasting', 'damage:saturating'):
+    for name in (*NONLINEAR, 'damage:lasting', 'damage:saturating', 'damage:lasting_saturating'):
         model = Model((name,))
         with pytest.raises(UsageError, match='choose the point') as told:
             relaxation_function(model, BASE | values)

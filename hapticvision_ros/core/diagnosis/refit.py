@@ -47,6 +47,7 @@ from hapticvision_ros.core.fit.campaign import (
     scale_of,
     SHARPEST,
     slow_body,
+    strengths,
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
@@ -493,6 +494,7 @@ class Workbench:
                 for name in added
             ]
         )
+        strong = strengths(model)[new]
         scans = list(product(*(model.parameters[k].scan for k in new)))
         factors = _FACTORS if signless and len(scans) < _CLOSE_BY else _FACTORS[:1]
         # What the smaller model has done without, no search finds the way back to.
@@ -517,7 +519,7 @@ class Workbench:
             values = model.values(begin[: problem.p])
             values[base] = list(each.values())
             # A power of one, as of a dashpot, is what it differs from.
-            strength = np.where(stiff, 1.0 / factor, factor)
+            strength = np.where(stiff, 1.0 / factor, np.where(strong, factor, 1.0))
             values[new] = absent + (guess[new] - absent) * strength * scan
             state = begin.copy()
             state[: problem.p] = np.clip(model.theta(values), *model.bounds)

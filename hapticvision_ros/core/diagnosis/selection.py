@@ -389,7 +389,12 @@ def try_all(
     for name, found in zip(names, parallel.each(look, names, workers, bench.trials), strict=True):
         tell(f'trying {name}')
         looks[name] = found
-    least = sorted((each.promise for each in looks.values()), reverse=True)[:most]
+    # Of the laws of an effect the one that promises most has its place, the others go with it.
+    promises = dict[str, float]()
+    for name, looked in looks.items():
+        effect = without_law(name)
+        promises[effect] = max(promises.get(effect, -math.inf), looked.promise)
+    least = sorted(promises.values(), reverse=True)[:most]
     worthy = [
         name for name in names if looks[name].promise >= max(price(bench, name) / 3.0, least[-1])
     ]
@@ -410,12 +415,15 @@ def try_all(
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
     if closely:
         blunt = without.blur.later > BLUNT
+        # The first law of each effect.
+        first = {without_law(each.effect): place for place, each in reversed([*enumerate(tried)])}
+        contest = sorted(first.values())[:_CONTEST]
         chosen = [
             place
             for place, each in enumerate(tried)
             if each.refit is not None
             # What moments that are not known hide has no gain yet to be told by.
-            and ((place < _CONTEST and each.gain >= GATE) or (blunt and _is_quick(each.effect)))
+            and ((place in contest and each.gain >= GATE) or (blunt and _is_quick(each.effect)))
         ]
 
         def closer(place: int) -> Trialled:

@@ -30,7 +30,9 @@ def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
 
 def _saturating(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
     lost, saturation = values[:2]
-    draft.add(Slot.DAMAGE, lost * saturation / (1.0 - cmath.exp(-saturation)))
+    if saturation != 0.0:
+        lost *= saturation / (1.0 - cmath.exp(-saturation))
+    draft.add(Slot.DAMAGE, lost)
     draft.add(Slot.SATURATION, saturation)
 
 
@@ -75,6 +77,7 @@ _KAPPA: Final = EffectParameter(
     0.0,
     1.0,
     lambda scale: 0.7,
+    neutral=math.nan,
 )
 
 _OF_A_TRIAL: Final = Effect(
@@ -103,7 +106,10 @@ _SATURATES: Final = _OF_A_TRIAL.following(
     K1(z_max) = K1 (1 - D (1 - exp(-s z_max / d_ref)) / (1 - exp(-s))),
     z_max the largest stretch of K1 so far in the trial
     """,
-    validity='Each trial starts on an unharmed place; what can be lost is lost early.',
+    validity=(
+        'Each trial starts on an unharmed place. What can be lost is lost early: the larger s, '
+        'the less are deep pushes softer than shallow ones.'
+    ),
     source=(
         'C. Miehe, Eur. J. Mech. A/Solids 14, 1995, 697-720 (damage that saturates '
         'exponentially with the largest strain so far).'

@@ -791,6 +791,31 @@ def places_of(model: Model, effects: Sequence[str]) -> list[int]:
     return places
 
 
+def strengths(model: Model) -> NDArray[np.bool_]:
+    """
+    Return which parameters are stronger or weaker with their effect.
+
+    What is absent by another parameter has a size of its own, but for what goes with a stiffness
+    in series.
+
+    Parameters
+    ----------
+    model : Model
+        A model.
+
+    Returns
+    -------
+    ndarray of bool, shape (p,)
+        None of the base parameters.
+
+    """
+    found = [False] * len(BASE_PARAMETERS)
+    for name in model.effects:
+        own = BY_NAME[name].parameters
+        found += [math.isinf(own[0].neutral) or not math.isnan(each.neutral) for each in own]
+    return np.array(found)
+
+
 def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
     """
     Return the state of one problem in another, with neutral values for what it lacks.
@@ -1566,11 +1591,10 @@ def _search(
     scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
     whole.set_noise(force_noise, height_noise, problem.unsure(state))
-    guess = model.values(model.first_guess(scale))
+    guess, strong = model.values(model.first_guess(scale)), strengths(model)
     tried: list[Solution] = []
     for factor in (1.0, 0.1, 0.01, 10.0):
-        values_ = guess.copy()
-        values_[3:] *= factor
+        values_ = np.where(strong, factor * guess, guess)
         for name, value in given.items():
             values_[model.names.index(name)] = value
         begin = np.zeros(whole.size)

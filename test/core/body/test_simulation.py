@@ -517,6 +517,11 @@ def test_an_effect_that_no_link_can_carry_is_refused() -> None:
         calibrate(BLOCK, Model(('springpot',)), IDENTIFIED, DISC, TRIAL)
     with pytest.raises(InputError, match='that of a spherical tool'):
         calibrate(BLOCK, Model(('contact_growth',)), IDENTIFIED | {'m': 0.5}, DISC, TRIAL)
+    for law, values in (('saturating', {'s': 4.0}), ('lasting', {'kappa': 0.7})):
+        with pytest.raises(InputError, match='damage'):
+            calibrate(
+                BLOCK, Model((f'damage:{law}',)), IDENTIFIED | {'D': 0.3} | values, DISC, TRIAL
+            )
 
 
 def heights(shape: str) -> FloatArray:

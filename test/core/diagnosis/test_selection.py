@@ -38,6 +38,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     Trialled,
     try_all,
 )
+from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.campaign import Blur, SHARPEST
 from hapticvision_ros.sim.campaigns import ForceNoise
@@ -579,3 +580,37 @@ def test_what_one_step_alone_tells_is_no_effect(world: Any) -> None:
     assert _good(struck, base, [found], Strongest()) == []
     assert _good(struck, base, [replace(found, gain=told + 1.0)], Strongest()) != []
     assert _good(bench, base, [found], Strongest()) == [found]
+
+
+def test_the_laws_of_an_effect_take_the_place_of_one(
+    noise_only: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The laws of damage hold the usual one, and promise as much each."""
+    bench, base = noise_only.bench()
+    look = bench.look
+    laws = [name for name in (law.name for law in EVERY_LAW) if name.startswith('damage')]
+    others = ['yield_force', 'shear_thinning', 'springpot']
+
+    def promising(model: Model, near: Any) -> Look:
+        (name,) = model.effects
+        promise = 100.0 if name in laws else 90.0 - others.index(name)
+        return replace(look(model, near), promise=promise)
+
+    monkeypatch.setattr(bench, 'look', promising)
+    tried = try_all(bench, base, [*laws, *others], most=3)
+    refitted = {each.effect for each in tried if each.refit is not None}
+    assert refitted == {*laws, 'yield_force', 'shear_thinning'}
+
+
+def test_a_law_is_no_worse_than_those_that_it_holds(world: Any) -> None:
+    measured = world.measure(world.campaign(), Undeclared('early_damage', (0.1, 2e-3)), seed=24)
+    bench, base = measured.bench()
+    found = {}
+    for law in ('', ':saturating', ':lasting', ':lasting_saturating'):
+        refit = bench.refit(Model((f'damage{law}',)), base)
+        assert refit is not None
+        found[law] = refit.deviance
+    assert base.deviance - found[':saturating'] > 20.0
+    assert found[':saturating'] < found[''] + 1.0
+    assert found[':lasting'] < found[''] + 1.0
+    assert found[':lasting_saturating'] < min(found[':saturating'], found[':lasting']) + 1.0

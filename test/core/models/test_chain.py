@@ -89,7 +89,10 @@ class Body:
     def rates(self, force: float, state: np.ndarray) -> np.ndarray:
         """Return the rates of z, z_max, y and the further units under a chain force."""
         z, z_max = state[0], state[1]
-        stiffness = self.K1 * (1.0 + self.beta * z * z) * (1.0 - self.D * z_max / DEPTH)
+        worn = z_max / DEPTH
+        if self.s:
+            worn = -math.expm1(-self.s * worn) / self.s
+        stiffness = self.K1 * (1.0 + self.beta * z * z) * (1.0 - self.D * worn)
         dz = (force - stiffness * z) / self.C1
         growing = z >= z_max - 1e-12 and dz > 0.0
         further = [(force - k * zu) / c for (k, c), zu in zip(self.units, state[3:], strict=True)]
@@ -343,7 +346,7 @@ def test_a_zone_that_opens_for_a_second_time_opens_from_nothing() -> None:
     ('effect', 'damage', 'saturation'),
     [
         (Undeclared('lasting_damage', (0.3,)), 0.3, 0.0),
-        # A length of a quarter of d_ref.
+        # A length of a quarter of d_ref; at its end the slopes are 1e-2 of those at the start.
         (Undeclared('early_lasting_damage', (0.3, 0.25 * DEPTH)), 1.2 / (1 - math.exp(-4)), 4.0),
     ],
     ids=['linear', 'saturating'],
