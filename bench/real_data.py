@@ -44,9 +44,11 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.campaign import TrialFit
 from hapticvision_ros.core.fit.data import FitTrial, prepare
 from hapticvision_ros.core.fit.held_out import conditions, predict_unseen, Trained
+from hapticvision_ros.core.pipeline import analyse, analyse_campaign
 from hapticvision_ros.core.records import FloatArray, Segmentation
 from hapticvision_ros.core.records import Trial as Record
 import numpy as np
+from page import renew
 
 BAGS = Path(__file__).parents[1] / 'bags'
 BEGIN, END = '<!-- tables of bench/real_data.py -->', '<!-- end of the tables -->'
@@ -332,6 +334,35 @@ def elsewhere(campaign: Campaign, others: Sequence[tuple[Set, Campaign]]) -> Ite
     yield ''
 
 
+def closed(campaigns: Sequence[tuple[Set, Campaign]], started: float) -> Iterator[str]:
+    """Yield the lines of what ``hapticvision fit`` says, whose held-out conditions nothing saw."""
+    yield from ('### What the closed loop says', '')
+    yield (
+        '| set | answer | effects, each with those not told from it | base, in-sample | held out '
+        '| with the effects, in-sample | held out | squares left |'
+    )
+    yield '| --- |' + ' --- |' * 7
+    rests = []
+    for one, campaign in campaigns:
+        whole = analyse_campaign([analyse(trial.trial) for trial in campaign])
+        print(f'{time.perf_counter() - started:.0f} s: {one.title}, the closed loop', flush=True)
+        found = whole.diagnosis
+        assert found is not None
+        peak = max(float(np.abs(trial.trial.force.value).max()) for trial in campaign)
+        errors = []
+        for model in (whole.before, whole.after):
+            for misfits in (None, None) if model is None else (model.train, model.held_out):
+                rmse = None if misfits is None else misfits.total['force'].rmse
+                errors.append('-' if rmse is None else f'{100.0 * rmse / peak:.1f} %')
+        names = '; '.join(' or '.join(each) for each in found.sets) or '-'
+        left = '-'
+        if found.unexplained is not None:
+            left = f'{100.0 * found.unexplained.share_of_chi2:.0f} %'
+            rests.append(f'- {one.title}: {found.unexplained.where[0]}')
+        yield f'| {one.title} | {found.status} | {names} | {" | ".join(errors)} | {left} |'
+    yield from ('', 'What is left, the first of it:', '', *rests, '')
+
+
 def cell(miss: Miss) -> str:
     """Return an error in percent of the peak and in newtons."""
     return f'{miss.percent:.1f} % ({miss.rmse:.2g} N)'
@@ -365,13 +396,11 @@ def main() -> None:
         found = [(one, other) for one, other in others if other is not None]
         if found and campaigns[0][0] is SETS[0]:
             lines += elsewhere(campaigns[0][1], found)
+        lines += closed(campaigns, started)
         lines += singles(campaigns)
     print('\n'.join(lines))
     if args.out is not None:
-        page = args.out.read_text()
-        head, _, rest = page.partition(BEGIN)
-        tail = rest.partition(END)[2]
-        args.out.write_text(head + BEGIN + '\n\n' + '\n'.join(lines) + '\n' + END + tail)
+        renew(args.out, BEGIN, END, '\n'.join(lines))
 
 
 if __name__ == '__main__':

@@ -79,10 +79,19 @@ _WITH_TOOL: Final = 0.6
 depth by which a surface that it presses goes down as well."""
 _DENT_FRAMES: Final = 6
 """Frames before the push, with the tool down and after it that the dent is looked for in."""
+_FLOOR_FRAMES: Final = 30
+"""Frames before the push and after it that its floor is told by."""
 _DENT_POINTS: Final = 1500
 """Points that are kept of each of them, about."""
 _AS_PLANNED: Final = 1e-3
 """A tool that is nearer to where it was planned pushed there [m]."""
+_NARROWER: Final = 0.7
+"""By how much a patch is made smaller whose rim is no part of the floor of the dent."""
+_FLOOR: Final = 0.5
+"""Part of its radius within which a patch is surely on the floor."""
+_SHALLOWER: Final = 0.01
+_SURELY: Final = 2.5
+"""By which part of its depth, and how many standard errors, a rim is above the floor of a dent."""
 _NEAR_LEVEL: Final = 4e-3
 """How far from the heights around the contact point a touch may be [m]."""
 _DOWN_TO: Final = 0.05
@@ -110,7 +119,8 @@ class DisplacementSettings:
     Parameters
     ----------
     patch_radius : float
-        The height is the median within this distance of the contact axis [m].
+        The height is the median within this distance of the contact axis [m]; of a record within
+        less where the dent turns out narrower.
     region_radius : float
         The dent can be seen only by pixels that saw the original surface within this distance of
         the contact axis [m]: the patch's radius and the deepest dent over the tangent of the
@@ -516,14 +526,19 @@ def displacement_from_clouds(
     followed = _follow(frames, tool_height, contact_point, settings, dent=dent)
     told = _told(followed, tool_height)
     view = followed.view
-    axis = None if dent is None or view is None else dent.axis(view.axis)
-    if dent is None or view is None or axis is None:
+    if dent is None or view is None:
         return told
-    view = view._replace(axis=axis, place=_in_the_dent(axis))
+    axis = dent.axis(view.axis)
+    radius = dent.floor(view.axis if axis is None else axis, view.settings)
+    if axis is None and radius == view.settings.patch_radius:
+        return told
+    view = view._replace(settings=replace(view.settings, patch_radius=radius))
+    if axis is not None:
+        view = view._replace(axis=axis, place=_in_the_dent(axis))
     followed = _follow(frames, tool_height, None, settings, view=view)
     tracker = followed.tracker
     if touched is not None and tracker is not None and tracker.original_height is None:
-        original, level = touched(), dent.level(axis)
+        original, level = touched(), dent.level(view.axis)
         if original is not None and level is not None and abs(original - level) < _NEAR_LEVEL:
             followed = _follow(
                 frames, tool_height, None, settings, view=view._replace(original=original)
@@ -585,7 +600,7 @@ class _Followed(NamedTuple):
 
 
 class _Dent:
-    """Keeps the few frames of a trial that tell where the dent is."""
+    """Keeps the few frames of a trial that tell where the dent is, and how wide its floor."""
 
     def __init__(self, tool_height: Signal) -> None:
         t, height = tool_height.t, tool_height.value
@@ -594,23 +609,33 @@ class _Dent:
         after = np.linspace(down[-1], t[-1], _DENT_FRAMES + 2)[1:-1]
         held = np.linspace(down[0], down[-1], _DENT_FRAMES + 2)[1:-1]
         self._due = sorted([*held.tolist(), *after.tolist()])
+        self._later = np.linspace(down[-1], t[-1], _FLOOR_FRAMES + 2)[1:-1].tolist()
         self._first = float(down[0])
         self._before: list[tuple[PointArray, float]] = []
         self._with_dent: list[tuple[PointArray, float]] = []
+        self._bare: list[tuple[PointArray, float]] = []
+        self._left: list[tuple[PointArray, float]] = []
 
     def take(self, frame: CloudFrame, tool: float, tracker: DisplacementTracker) -> None:
         """Keep a frame if it is one of them."""
-        if not self._due or not np.isfinite(tool):
+        if not np.isfinite(tool):
             return
-        if len(self._before) < _DENT_FRAMES and not tracker.pushed and frame.t < self._first:
-            kept = self._before
-        elif frame.t >= self._due[0]:
-            kept = self._with_dent
-            self._due = [t for t in self._due if t > frame.t]
+        kept = []
+        if not tracker.pushed and frame.t < self._first:
+            most = (self._before, _DENT_FRAMES), (self._bare, _FLOOR_FRAMES)
+            kept = [frames for frames, count in most if len(frames) < count]
         else:
-            return
-        points = tracker.near(frame.xyz, 2.0 * _ASTRAY)
-        kept.append((points[:: max(len(points) // _DENT_POINTS, 1)], tool))
+            if self._due and frame.t >= self._due[0]:
+                kept.append(self._with_dent)
+                self._due = [t for t in self._due if t > frame.t]
+            if self._later and frame.t >= self._later[0]:
+                kept.append(self._left)
+                self._later = [t for t in self._later if t > frame.t]
+        if kept:
+            points = tracker.near(frame.xyz, 2.0 * _ASTRAY)
+            points = points[:: max(len(points) // _DENT_POINTS, 1)]
+            for frames in kept:
+                frames.append((points, tool))
 
     def axis(self, planned: tuple[float, float]) -> tuple[float, float] | None:
         """Return the axis of the dent [m]; None if it is not clear, or the one as planned."""
@@ -622,6 +647,43 @@ class _Dent:
             return None
         return found
 
+    def floor(self, axis: tuple[float, float], settings: DisplacementSettings) -> float:
+        """
+        Return the radius within which the dent around an axis is even [m].
+
+        A patch that is wider than the tool reads less than the tool has pressed.
+        """
+        radius = settings.patch_radius
+        # Higher up is the tool, which is out of the way before the push, and after it for long.
+        before, after = (
+            [(points[points[:, 2] < tool - settings.tool_margin], tool) for points, tool in seen]
+            for seen in (self._bare, self._left)
+        )
+        free = [
+            points
+            for points, tool in after
+            if (middle := _ring(points, axis, 0.0, radius, settings)) is not None
+            and tool > middle + settings.tool_clearance
+        ]
+        while True:
+            inside, beside = (0.0, _FLOOR * radius), (_NARROWER * radius, radius)
+            steps, depth = [], []
+            for frames in ([points for points, _ in before], free):
+                rings = [
+                    [_ring(points, axis, *edges, settings) for edges in (inside, beside)]
+                    for points in frames
+                ]
+                known = [(a, b) for a, b in rings if a is not None and b is not None]
+                if len(known) < settings.least_frames:
+                    return radius
+                steps.append(np.array([b - a for a, b in known]))
+                depth.append(float(np.mean([a for a, _ in known])))
+            shallower = float(steps[1].mean() - steps[0].mean())
+            error = math.sqrt(sum(float(np.var(each, ddof=1)) / each.size for each in steps))
+            if shallower < max(_SURELY * error, _SHALLOWER * (depth[0] - depth[1])):
+                return radius
+            radius *= _NARROWER
+
     def level(self, axis: tuple[float, float]) -> float | None:
         """Return the median height around an axis before the push [m]; None if it is not seen."""
         heights = [
@@ -632,6 +694,20 @@ class _Dent:
         ]
         middle = _middle(np.concatenate(heights)) if heights else None
         return None if middle is None else middle[0]
+
+
+def _ring(
+    points: PointArray,
+    axis: tuple[float, float],
+    inner: float,
+    outer: float,
+    settings: DisplacementSettings,
+) -> float | None:
+    """Return the median height of what is between two radii [m]; None where it is too little."""
+    away = np.hypot(*(points[:, :2] - axis).T)
+    heights = points[(away >= inner) & (away < outer), 2]
+    heights = heights[np.isfinite(heights)]
+    return float(np.median(heights)) if heights.size >= settings.least_points else None
 
 
 def _follow(
