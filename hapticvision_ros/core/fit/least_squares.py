@@ -276,7 +276,8 @@ def minimise(
                 np.clip(move, -reach, reach, out=move)
             trial = np.clip(theta + move, lower, upper)
             taken = float(np.linalg.norm(scale * (trial - theta)))
-            size = max(float(np.linalg.norm(scale * theta)), 1e-300)
+            # Where all parameters are zero, steps are small beside the residual.
+            size = max(float(np.linalg.norm(scale * theta)), math.sqrt(cost), 1e-300)
             stuck = promised <= tolerance * cost and taken <= _STUCK * size
             if (
                 reachable <= tolerance * cost

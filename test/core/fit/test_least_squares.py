@@ -166,6 +166,17 @@ def test_what_hardly_matters_at_the_start_does_not_hold_up_the_others() -> None:
     assert found.theta == pytest.approx([5.0, math.log(2.0)], rel=1e-3)
 
 
+def test_a_search_from_zero_that_no_step_improves_comes_to_an_end() -> None:
+    """At a kink, of which the slope on one side says that the other is lower."""
+
+    def kink(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([1.0 + abs(theta[0])]), np.array([[1.0]])
+
+    solution = minimise(kink, np.zeros(1), max_evaluations=10_000)
+    assert solution.theta.tolist() == [0.0]
+    assert solution.evaluations < 100
+
+
 def test_a_direction_in_which_nothing_changes_has_no_error() -> None:
     """Two parameters of which only the sum counts are both unknown; a third is known."""
     jacobian = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 1.0], [3.0, 3.0, -1.0]])
