@@ -82,6 +82,7 @@ _DENT_FRAMES: Final = 6
 _FLOOR_FRAMES: Final = 30
 """Frames before the push and after it that its floor is told by."""
 _DENT_POINTS: Final = 1500
+_FLOOR_POINTS: Final = 6000
 """Points that are kept of each of them, about."""
 _AS_PLANNED: Final = 1e-3
 """A tool that is nearer to where it was planned pushed there [m]."""
@@ -532,7 +533,8 @@ def displacement_from_clouds(
     radius = dent.floor(view.axis if axis is None else axis, view.settings)
     if axis is None and radius == view.settings.patch_radius:
         return told
-    view = view._replace(settings=replace(view.settings, patch_radius=radius))
+    if radius < view.settings.patch_radius:
+        view = view._replace(settings=replace(view.settings, patch_radius=radius), floor=radius)
     if axis is not None:
         view = view._replace(axis=axis, place=_in_the_dent(axis))
     followed = _follow(frames, tool_height, None, settings, view=view)
@@ -561,6 +563,7 @@ class _View(NamedTuple):
     warnings: tuple[str, ...]
     place: str
     original: float | None = None
+    floor: float | None = None
 
     def tracker(self) -> DisplacementTracker:
         """Return what follows the surface."""
@@ -579,6 +582,11 @@ class _View(NamedTuple):
         told = [*self.warnings]
         if self.place:
             told.append(f'The contact point was taken {self.place}.')
+        if self.floor is not None:
+            told.append(
+                f'The dent is narrow: the surface was taken within {1e3 * self.floor:.2g} mm of '
+                'the contact point.'
+            )
         if self.original is not None:
             told.append(
                 'The clouds do not show the surface before the push: its height was taken from '
@@ -622,20 +630,22 @@ class _Dent:
             return
         kept = []
         if not tracker.pushed and frame.t < self._first:
-            most = (self._before, _DENT_FRAMES), (self._bare, _FLOOR_FRAMES)
-            kept = [frames for frames, count in most if len(frames) < count]
+            if len(self._before) < _DENT_FRAMES:
+                kept.append((self._before, _DENT_POINTS))
+            if len(self._bare) < _FLOOR_FRAMES:
+                kept.append((self._bare, _FLOOR_POINTS))
         else:
             if self._due and frame.t >= self._due[0]:
-                kept.append(self._with_dent)
+                kept.append((self._with_dent, _DENT_POINTS))
                 self._due = [t for t in self._due if t > frame.t]
             if self._later and frame.t >= self._later[0]:
-                kept.append(self._left)
+                kept.append((self._left, _FLOOR_POINTS))
                 self._later = [t for t in self._later if t > frame.t]
         if kept:
             points = tracker.near(frame.xyz, 2.0 * _ASTRAY)
-            points = points[:: max(len(points) // _DENT_POINTS, 1)]
-            for frames in kept:
-                frames.append((points, tool))
+            for frames, count in kept:
+                # A view would keep all of them.
+                frames.append((points[:: max(len(points) // count, 1)].copy(), tool))
 
     def axis(self, planned: tuple[float, float]) -> tuple[float, float] | None:
         """Return the axis of the dent [m]; None if it is not clear, or the one as planned."""

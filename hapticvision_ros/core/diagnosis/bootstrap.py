@@ -40,7 +40,7 @@ from hapticvision_ros.core.diagnosis.scatter import conditions, measure
 from hapticvision_ros.core.diagnosis.selection import GATE, Round, select
 from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.effects.declaration import without_law
-from hapticvision_ros.core.fit.campaign import Fit
+from hapticvision_ros.core.fit.campaign import Fit, height_blocks
 from hapticvision_ros.core.fit.data import FitTrial
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.kernels import kernel
@@ -291,4 +291,7 @@ def _height_noise(trial: FitTrial, noise: SensorNoise, random: np.random.Generat
     place = np.arange(int(count.sum())) - np.repeat(first_of + 0.5 * (count - 1), count)
     t = np.repeat(trial.height_t, count) + place * trial.height_interval
     single = sensor_noise(np.maximum.accumulate(t), noise, random)
-    return np.asarray(np.add.reduceat(single, first_of) / count, dtype=np.float64)
+    mean = np.asarray(np.add.reduceat(single, first_of) / count, dtype=np.float64)
+    # What stamps that are off make of a surface that moves.
+    extra = height_blocks(trial).extra
+    return mean + np.sqrt(extra) * random.standard_normal(mean.size) if extra.any() else mean

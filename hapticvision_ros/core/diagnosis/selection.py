@@ -389,7 +389,7 @@ def try_all(
     for name, found in zip(names, parallel.each(look, names, workers, bench.trials), strict=True):
         tell(f'trying {name}')
         looks[name] = found
-    # Of the laws of an effect the one that promises most has its place, the others go with it.
+    # The laws of an effect, which promise alike, take the place of one.
     promises = dict[str, float]()
     for name, looked in looks.items():
         effect = without_law(name)
@@ -415,9 +415,9 @@ def try_all(
     tried.sort(key=lambda each: (each.refit is None, -each.gain))
     if closely:
         blunt = without.blur.later > BLUNT
-        # The first law of each effect.
+        # As many effects, and not only laws of one.
         first = {without_law(each.effect): place for place, each in reversed([*enumerate(tried)])}
-        contest = sorted(first.values())[:_CONTEST]
+        contest = {*range(_CONTEST), *sorted(first.values())[:_CONTEST]}
         chosen = [
             place
             for place, each in enumerate(tried)

@@ -904,13 +904,16 @@ def height_blocks(trial: FitTrial) -> Blocks:
     extra = np.zeros(trial.height_t.size)
     if trial.height_jitter > 0.0:
         # Whether a sample or only its stamp came off the clock is not known: where the tool moves
-        # the surface fast, few samples whose stamps are off would be a clock that is.
+        # the surface fast, few samples whose stamps are off would be a clock that is. What it
+        # withdraws from goes its own way, and slowly.
         half = 0.5 * trial.height_interval
         before, after = (
             np.maximum(np.interp(trial.height_t + side, trial.t, trial.displacement), 0.0)
             for side in (-half, half)
         )
         speed = (after - before) / trial.height_interval
+        if trial.t_release is not None:
+            speed[trial.height_t > trial.t_release] = 0.0
         extra = (speed * trial.height_jitter) ** 2 / trial.height_count
     return Blocks(gaps, trial.height_count, extra)
 

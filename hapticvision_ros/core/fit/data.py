@@ -66,6 +66,14 @@ _PRESSED: Final = 0.2
 """Share of the largest displacement height from which on it is."""
 _TOUCH_REACH: Final = 8.0
 """The touch is at most so many errors of the detection from the detected one."""
+_FEWEST_STAMPS: Final = 8
+_BY_THE_CLOCK: Final = 1e-3
+_BY_NO_CLOCK: Final = 0.2
+_LONG_GAP: Final = 5
+"""
+Stamps that tell a clock, by which part of a tick exact stamps and those of none are off, and ticks
+that are too many to be counted.
+"""
 _COARSE_STEP: Final = 0.5
 """Over the interval of the heights: a step of one force that is too coarse for these."""
 _EVENTFUL_STEPS: Final = 12.0
@@ -893,7 +901,7 @@ def _prepare(
             good = ~(suspects(record.value) | _astray(record, phases))
             height_t, heights = record.t[good], record.value[good]
             height_interval = float(np.median(np.diff(record.t)))
-            height_jitter = _scatter_of(record.t)
+            height_jitter = jitter_of(record.t)
     raw = FitTrial(
         name=trial.name,
         t=edges,
@@ -1300,10 +1308,39 @@ def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
     return astray
 
 
+def jitter_of(t: FloatArray) -> float:
+    """
+    Return by how much stamps are off a regular clock.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Stamps in order of time [s]; some of the clock's ticks may be missing.
+
+    Returns
+    -------
+    float
+        A standard deviation [s]; zero for a clock that is exact, for stamps of no clock, and for
+        few of them.
+
+    """
+    if t.size < _FEWEST_STAMPS:
+        return 0.0
+    steps = np.diff(t)
+    tick = float(np.median(steps))
+    if tick <= 0.0:
+        return 0.0
+    # Some ticks may be missing within a step, whose both ends are off.
+    ticks = np.rint(steps / tick)
+    within = (ticks > 0.0) & (ticks < _LONG_GAP)
+    tick = float(steps[within].sum() / ticks[within].sum())
+    off = (steps - tick * np.rint(steps / tick))[within]
+    jitter = NORMAL_FROM_MAD * float(np.median(np.abs(off))) / math.sqrt(2.0)
+    return jitter if _BY_THE_CLOCK * tick < jitter < _BY_NO_CLOCK * tick else 0.0
+
+
 def _scatter_of(value: FloatArray) -> float:
     """Return by how much values that go on evenly scatter, as a standard deviation."""
-    if value.size < 3:
-        return 0.0
     return NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(value, 2)))) / math.sqrt(6.0)
 
 
@@ -1328,7 +1365,7 @@ def _lone(
     if lone.size < 8:
         return lone
     beyond = _outside(force.value)
-    noise = NORMAL_FROM_MAD * float(np.median(np.abs(np.diff(force.value, 2)))) / math.sqrt(6.0)
+    noise = _scatter_of(force.value)
     lone = beyond > _ASTRAY * noise
     if not lone.any():
         return lone

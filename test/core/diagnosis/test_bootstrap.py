@@ -21,12 +21,17 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import bootstrap as simulation
 from hapticvision_ros.core.diagnosis import search
-from hapticvision_ros.core.diagnosis.bootstrap import bootstrap, sensor_noise, simulated
+from hapticvision_ros.core.diagnosis.bootstrap import (
+    bootstrap,
+    sensor_noise,
+    simulated,
+    trial_noise,
+)
 from hapticvision_ros.core.diagnosis.records import Candidate, Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.search import choose_again
 from hapticvision_ros.core.diagnosis.selection import select
-from hapticvision_ros.core.fit.campaign import fit_prepared
+from hapticvision_ros.core.fit.campaign import fit_prepared, height_blocks
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.sim.specimen import Undeclared
@@ -164,3 +169,21 @@ def test_what_was_said_of_the_stamps_and_of_laws_holds_for_the_choice_made_anew(
         again = choose_again(named, {named.before.problem.trials[0].name})
         assert again is not None
         assert tried == {'friction:held', 'yield_force'}
+
+
+def test_simulated_heights_have_what_stamps_that_are_off_make_of_them(noise_only: Any) -> None:
+    bench, base = noise_only.bench()
+    trial = replace(bench.trials[0], height_jitter=0.02)
+    extra = height_blocks(trial).extra
+    fast = extra > 4.0 * base.height_noise.std**2
+    assert np.count_nonzero(fast) > 5
+    random = np.random.default_rng(3)
+    drawn = [trial_noise(trial, base, base.jumps[0], random).height for _ in range(200)]
+    squares = np.mean(np.square(drawn), axis=0)
+    assert np.mean((squares / (extra + base.height_noise.std**2))[fast]) == pytest.approx(
+        1.0, abs=0.1
+    )
+    # Nothing moves the surface before the touch, and no tool does so after the release.
+    assert trial.t_release is not None
+    assert not extra[trial.height_t < trial.t_contact - trial.height_interval].any()
+    assert not extra[trial.height_t > trial.t_release].any()

@@ -22,6 +22,7 @@ from hapticvision_ros.core.fit.data import (
     _bend,
     _goes_by_ramps,
     deepest_before,
+    jitter_of,
     planned,
     prepare,
     reads_at_moments,
@@ -915,3 +916,16 @@ def test_a_corner_that_noise_hides_is_where_the_pieces_meet(early: float) -> Non
     off = tool_path(Signal(t, read), phases).at(t) - way
     # The hold is taken to go on by 14 um where its end is taken to be early.
     assert np.abs(off).max() < 3e-6
+
+
+def test_a_clock_is_told_from_its_stamps_and_what_is_missing_of_them() -> None:
+    random = np.random.default_rng(5)
+    ticks = 1.7e3 + np.arange(400) / 30.0
+    late = 0.003 * random.standard_normal(ticks.size)
+    some = random.uniform(size=ticks.size) > 0.4
+    for kept in (np.ones(ticks.size, dtype=np.bool_), some):
+        assert jitter_of(ticks[kept]) == 0.0
+        assert jitter_of((ticks + late)[kept]) == pytest.approx(0.003, rel=0.15)
+    # Events have no clock, and a few stamps tell none.
+    assert jitter_of(np.cumsum(random.exponential(0.03, 400))) == 0.0
+    assert jitter_of((ticks + late)[:7]) == 0.0
