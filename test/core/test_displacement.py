@@ -417,7 +417,8 @@ def test_close_ups_of_the_top_are_taken_by_where_the_tool_was(made, tool_height)
 @pytest.mark.parametrize('noise', [FINE, 3e-4])
 def test_a_dent_narrower_than_the_patch_is_read_on_its_floor(noise, tool_height):
     """In the median of the patch as it was, 0.4 to 0.8 mm would be missed."""
-    signal, _ = displacement_from_clouds(close_ups(floor=0.0035, noise=noise), tool_height)
+    signal, warnings = displacement_from_clouds(close_ups(floor=0.0035, noise=noise), tool_height)
+    assert 'The dent is narrow' in warnings[-1]
     truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
     after = truth > 0.004
     assert np.count_nonzero(after) > 20
