@@ -292,15 +292,15 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 
 
 PLAN = (
-    '--world random --none 400 --first 62000',
-    '--world random --scatter 0.02 --none 400 --first 45000',
-    '--world grid --seeds 2 --first 430 --r 0.3 1 0.1 0.07 0.05',
-    '--world grid --scatter 0.02 --seeds 2 --first 730 --r 0.3 1',
-    '--world grid --pairs 20 --seeds 2 --first 630 --r 0.3',
-    '--world grid --outside --seeds 2 --first 230 --r 1',
-    '--world grid --clouds --seeds 1 --first 850 --r 1',
-    '--world grid --laws --seeds 1 --first 950 --r 0.3 1 3',
-    '--world random --slow --none 60 --first 64000',
+    '--world random --none 400 --first 63000',
+    '--world random --scatter 0.02 --none 400 --first 46000',
+    '--world grid --seeds 2 --first 440 --r 0.3 1 0.1 0.07 0.05',
+    '--world grid --scatter 0.02 --seeds 2 --first 740 --r 0.3 1',
+    '--world grid --pairs 20 --seeds 2 --first 640 --r 0.3',
+    '--world grid --outside --seeds 2 --first 240 --r 1',
+    '--world grid --clouds --seeds 1 --first 860 --r 1',
+    '--world grid --laws --seeds 1 --first 960 --r 0.3 1 3',
+    '--world random --slow --none 60 --first 65000',
 )
 """What the page is made of."""
 
