@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.diagnosis.excess import _held, bursts, Excess, louder
+from hapticvision_ros.core.fit.campaign import Problem
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
 from hapticvision_ros.sim.specimen import Undeclared
@@ -193,3 +194,25 @@ def test_one_sample_that_is_astray_is_no_trial_that_is_louder() -> None:
     found = _held('force', louder_one, 1.0, 1e-6, memory=0.0)
     assert found is not None
     assert found.trial == 'c'
+
+
+def test_heights_of_a_fast_push_whose_stamps_are_off_are_not_louder(world: Any) -> None:
+    random = np.random.default_rng(7)
+
+    def stamped(trial: Trial) -> Trial:
+        height = trial.displacement_height
+        assert height is not None
+        off = 0.005 * np.clip(random.standard_normal(height.t.size), -2.5, 2.5)
+        return replace(trial, displacement_height=Signal(height.t + off, height.value))
+
+    pushes = (0.03, 0.006), (0.03, 0.003), (0.02, 0.006), (0.03, 0.0045)
+    measured = world.measure(world.campaign(pushes, hold=1.0), seed=32, change=stamped)
+    _, base = measured.bench()
+    assert louder(base, measured.phases) == ()
+    # With a clock that is exact they would be.
+    exact = tuple(replace(trial, height_jitter=0.0) for trial in base.problem.trials)
+    problem = Problem(base.model, exact)
+    problem.set_noise(base.force_noise, base.height_noise, base.jumps)
+    assert 'displacement height' in [
+        each.channel for each in louder(replace(base, problem=problem), measured.phases)
+    ]

@@ -596,10 +596,24 @@ def test_the_laws_of_an_effect_take_the_place_of_one(
         promise = 100.0 if name in laws else 90.0 - others.index(name)
         return replace(look(model, near), promise=promise)
 
+    def gaining(bench: Any, without: Any, name: str, refit: Refit) -> Trialled:
+        gain = 100.0 if name in laws else 90.0 - others.index(name)
+        return Trialled(name, gain, gain, 1.0, refit)
+
+    closely = []
+
+    def longer(bench: Any, without: Any, found: Trialled) -> Trialled:
+        closely.append(found.effect)
+        return found
+
     monkeypatch.setattr(bench, 'look', promising)
+    monkeypatch.setattr(selection, '_trialled', gaining)
+    monkeypatch.setattr(selection, '_closer', longer)
     tried = try_all(bench, base, [*laws, *others], most=3)
     refitted = {each.effect for each in tried if each.refit is not None}
     assert refitted == {*laws, 'yield_force', 'shear_thinning'}
+    # So among what is searched for longer.
+    assert {'yield_force', 'shear_thinning'} < set(closely)
 
 
 def test_a_weak_effect_by_a_law_of_more_parameters_is_found_as_by_one_of_less(world: Any) -> None:
