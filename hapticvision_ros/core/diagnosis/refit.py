@@ -25,7 +25,7 @@ import contextlib
 from dataclasses import dataclass, replace
 from itertools import product
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from hapticvision_ros.core.composition import BASE_PARAMETERS, Model
 from hapticvision_ros.core.effects import BY_NAME
@@ -74,6 +74,8 @@ _STEPS: Final = 12
 _ROUNDS: Final = 6
 _ENOUGH: Final = 1.0
 """Gain below which another round of noise and parameters is not worth it."""
+_KEPT: Final = 0.05
+"""Part of what one step promises by which a search that kept to it has reached more."""
 _NEGLIGIBLE: Final = 1e-3
 _MODERATE: Final = 0.1
 """Part of C2 below which C1 does nothing, and the one that it is started from then as well."""
@@ -81,6 +83,10 @@ _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
 """Relative change of the squares that is none: below one in any campaign of a million samples."""
+
+
+type Evaluated = tuple[FloatArray, FloatArray]
+"""Whitened residual and Jacobian, as `Problem.evaluate` returns them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +185,15 @@ class Smooth:
     height: tuple[FloatArray, ...]
 
 
+class Start(NamedTuple):
+    """A state, what `Problem.evaluate` returned there, and the squares that one step promises."""
+
+    state: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    left: float
+
+
 @dataclass(frozen=True, slots=True)
 class Look:
     """
@@ -188,15 +203,15 @@ class Look:
     ----------
     problem : Problem
         Of the model, at the noise of the refit without them.
-    starts : tuple of ndarray
-        States to search from, the best first; empty where the model cannot be evaluated.
+    starts : tuple of Start
+        Where to search from, the best first; empty where the model cannot be evaluated.
     promise : float
         By how much one step of the search from the best of them promises to lower the squares.
 
     """
 
     problem: Problem
-    starts: tuple[FloatArray, ...]
+    starts: tuple[Start, ...]
     promise: float
 
 
@@ -269,23 +284,34 @@ class Workbench:
 
         """
         look = self.look(model, near) if looked is None else looked
-        problem, ends = look.problem, []
-        for state in look.starts:
+        problem, best = look.problem, None
+        added = places_of(
+            model, [name for name in model.effects if name not in near.model.effects]
+        )
+        scanned = any(len(model.parameters[k].scan) > 1 for k in added)
+        for start in look.starts:
+            # A search finds its way between the values that are scanned from close by only.
+            if best is not None and not scanned:
+                first = look.starts[0]
+                if _is_beyond(start, first, best.cost, near.cost - first.left):
+                    continue
             with contextlib.suppress(ValueError):
-                ends.append(
-                    problem.search(
-                        state,
-                        tolerance=1e-4,
-                        max_evaluations=_LOOKS,
-                    )
+                end = problem.search(
+                    start.state,
+                    tolerance=1e-4,
+                    max_evaluations=_LOOKS,
+                    known=(start.residual, start.jacobian),
                 )
-        if not ends:
+                if best is None or end.cost < best.cost:
+                    best = end
+        if best is None:
             return None
-        best = min(ends, key=lambda end: end.cost)
         names = [parameter.symbol for parameter in BASE_PARAMETERS]
         values = near.model.values(near.theta)[: len(names)]
         begin = in_order(problem, best.theta, dict(zip(names, values.tolist(), strict=True)))
-        return self._settled(problem, begin, near.force_noise, near.height_noise, near.blur)
+        known = (best.residual, best.jacobian) if begin is best.theta else None
+        noise = near.force_noise, near.height_noise, near.blur
+        return self._settled(problem, begin, *noise, known=known)
 
     def look(self, model: Model, near: Refit) -> Look:
         """
@@ -315,12 +341,12 @@ class Workbench:
         for state in states:
             residual, jacobian = problem.evaluate(state)
             if np.isfinite(residual).all():
-                left.append((_promise(residual, jacobian), state))
-        left.sort(key=lambda each: each[0])
-        promise = near.cost - left[0][0] if left else -math.inf
+                left.append(Start(state, residual, jacobian, _promise(residual, jacobian)))
+        left.sort(key=lambda each: each.left)
+        promise = near.cost - left[0].left if left else -math.inf
         # What another body promises is less exact: it is further away.
-        chosen = [*left[:_BEST], *_best_of_others(left, left[:_BEST])]
-        return Look(problem, tuple(state for _, state in chosen), promise)
+        others = _best_of_others([each.state for each in left], _BEST)
+        return Look(problem, (*left[:_BEST], *(left[k] for k in others)), promise)
 
     def residual(
         self, problem: Problem, state: FloatArray, index: int
@@ -542,9 +568,9 @@ class Workbench:
         left = np.array(self.leaves(problem, states, near))
         # The last has onsets of its own, which leave much until they have been moved.
         left[-1] = -math.inf
-        ranked = [(float(left[k]), states[k]) for k in np.argsort(left, kind='stable').tolist()]
-        chosen = [*ranked[:_CLOSE_BY], *_best_of_others(ranked, ranked[:_CLOSE_BY])]
-        taken = {id(state) for _, state in chosen}
+        ranked = [states[k] for k in np.argsort(left, kind='stable').tolist()]
+        chosen = [*range(min(_CLOSE_BY, len(ranked))), *_best_of_others(ranked, _CLOSE_BY)]
+        taken = {id(ranked[k]) for k in chosen}
         return [state for state in states if id(state) in taken]
 
     def leaves(self, problem: Problem, states: Sequence[FloatArray], near: Refit) -> list[float]:
@@ -579,32 +605,43 @@ class Workbench:
         force: SensorNoise,
         height: SensorNoise,
         blur: Blur,
+        known: Evaluated | None = None,
     ) -> Refit:
-        """Return the best parameters and the noise that goes with them."""
-        best: Refit | None = None
+        """
+        Return the best parameters and the noise that goes with them.
+
+        What is `known` is what the problem was evaluated to at the state beside its noise.
+        """
+        best, at_best = None, None
         for turn in range(_ROUNDS):
             state = state.copy()
             # A jump that is misplaced passes for one whose moment is not known.
-            if turn and replace_onsets(problem, state, force, SHARPEST):
+            moved = turn > 0 and replace_onsets(problem, state, force, SHARPEST)
+            if moved:
                 blur = problem.sharpest(state, force, blur)
                 problem.set_noise(force, height, problem.unsure(state, blur))
-            state = problem.search(
+                known = None
+            end = problem.search(
                 state,
                 tolerance=_TOLERANCE if turn else 1e-4,
                 max_evaluations=_STEPS,
-            ).theta
+                known=known,
+            )
+            state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
             blur = problem.sharpest(state, force, blur)
             jumps = problem.unsure(state, blur)
             problem.set_noise(force, height, jumps)
-            residual, _ = problem.evaluate(state)
-            cost = float(residual @ residual)
-            deviance = cost + problem.log_determinant + problem.scatter_price(state)
+            known = problem.evaluate(state)
+            cost = float(known[0] @ known[0])
+            deviance = cost + problem.log_determinant + problem.scatter_price(state, known[1])
             if best is not None and deviance > best.deviance - _ENOUGH:
                 if deviance < best.deviance:
                     best = replace(best, state=state)
+                    at_best = None if moved else (end.residual, end.jacobian)
                 break
+            at_best = known
             best = Refit(problem.model, problem, state, cost, deviance, force, height, blur, jumps)
         assert best is not None
         # The noise goes with the parameters that it was seen beside.
@@ -613,6 +650,7 @@ class Workbench:
             best.state,
             tolerance=_TOLERANCE,
             max_evaluations=_STEPS,
+            known=at_best,
         )
         return replace(
             best,
@@ -620,7 +658,7 @@ class Workbench:
             cost=solution.cost,
             deviance=solution.cost
             + problem.log_determinant
-            + problem.scatter_price(solution.theta),
+            + problem.scatter_price(solution.theta, solution.jacobian),
         )
 
     def _most_likely(
@@ -659,16 +697,25 @@ def _promise(residual: FloatArray, jacobian: FloatArray) -> float:
     return float(residual @ residual - explained @ explained)
 
 
-def _best_of_others(
-    ranked: Sequence[tuple[float, FloatArray]], chosen: Sequence[tuple[float, FloatArray]]
-) -> list[tuple[float, FloatArray]]:
-    """Return the first of each body, best first, of which none is chosen yet."""
-    known = {_body(state) for _, state in chosen}
+def _is_beyond(start: Start, first: Start, reached: float, promised: float) -> bool:
+    """
+    Return whether a start promises less than the first one of the same body has reached.
+
+    What a start promises tells what is reached from it only if it did so for the first.
+    """
+    same = start is not first and _body(start.state) == _body(first.state)
+    kept = reached > first.left - max(_ENOUGH, _KEPT * promised)
+    return same and kept and start.left > reached - _ENOUGH
+
+
+def _best_of_others(ranked: Sequence[FloatArray], count: int) -> list[int]:
+    """Return where the first of each body stands of which none is among the first `count`."""
+    known = {_body(state) for state in ranked[:count]}
     others = []
-    for each in ranked:
-        if _body(each[1]) not in known:
-            known.add(_body(each[1]))
-            others.append(each)
+    for place, state in enumerate(ranked[count:], count):
+        if _body(state) not in known:
+            known.add(_body(state))
+            others.append(place)
     return others
 
 

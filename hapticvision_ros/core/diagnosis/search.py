@@ -161,11 +161,12 @@ def diagnose(
 
     trials = pairs_of(campaign)
     tell('fitting the three-element model')
-    prepared, known = prepare(trials, servo=servo)
+    arm, corners = arm_of(trials) if servo is None else (servo, ())
+    prepared, known = prepare(trials, servo=arm)
     before = fit_prepared(prepared, Model(), warnings=known)
     line = line_spectrum(before.problem, before.state).chance < _LINE
     if line:
-        prepared, known = prepare(trials, windows=True, servo=servo)
+        prepared, known = prepare(trials, windows=True, servo=arm)
         before = fit_prepared(prepared, Model(), near=before, warnings=known)
     phases = [p for made, (_, p) in zip(prepared, trials, strict=True) if made is not None]
     search = _Search(before, phases, workers, tell, limits, line=line, dated=dated)
@@ -189,18 +190,18 @@ def diagnose(
                 *again.warnings,
             ),
         )
-    if (outcome.effects or outcome.rest) and servo is None:
-        otherwise = _otherwise(trials, prepared, before, outcome, workers)
+    if arm is not None and servo is None and (outcome.effects or outcome.rest):
+        otherwise = _otherwise(trials, prepared, before, outcome, workers, arm, corners)
         if otherwise is not None:
             tell('trying another way of the arm to change its speed')
-            arm, better = otherwise
+            other, better = otherwise
             again = diagnose(
                 trials,
                 progress=progress,
                 workers=workers,
                 limits=limits,
                 dated=dated,
-                servo=arm,
+                servo=other,
             )
             fewer = better or len(again.effects) < len(outcome.effects)
             if fewer or (outcome.rest and again.unexplained is None):
@@ -261,20 +262,19 @@ def _otherwise(
     before: Fit,
     outcome: '_Outcome',
     workers: int,
+    known: Servo,
+    corners: Sequence[Corner],
 ) -> tuple[Servo, bool] | None:
     """
     Return how the arm may change its speed so that fewer effects, or none, explain the forces.
 
-    Encoders that round leave a lag or a mass at each stop open. What they tell, and what the
-    forces tell beside each smaller model, is taken together; also whether that is the better
-    account, and not only as good.
+    Encoders that round leave a lag or a mass at each stop open. What they tell by the `corners`,
+    beside the arm that is `known`, and what the forces tell beside each smaller model, is taken
+    together; also whether that is the better account, and not only as good.
     """
     # Where the tool is away it does not matter to a rest how it goes.
     rest = [each for each in outcome.rest if not each.away]
     if not rest and not outcome.effects:
-        return None
-    known, corners = arm_of(trials)
-    if known is None:
         return None
     arms = [known]
     if not known.stops:

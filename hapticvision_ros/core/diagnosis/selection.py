@@ -102,6 +102,8 @@ _STRIKING: Final = 200.0
 """Gain of a candidate from which on all that change the chain are fitted beside it."""
 _CONTEST: Final = 3
 """Candidates that are searched for longer: those that may come first."""
+_HOPEFUL: Final = 0.25
+"""Part of the largest gain below which a longer search is in vain."""
 _FIRST: Final = 10
 _LATER: Final = 5
 """Candidates that are refitted, at first and beside effects that were accepted."""
@@ -328,6 +330,7 @@ def try_all(
     *,
     most: int = _FIRST,
     closely: bool = True,
+    reached: float = 0.0,
     workers: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Trialled, ...]:
@@ -346,6 +349,8 @@ def try_all(
         How many are refitted at most: those that promise most.
     closely : bool
         Whether those that may come first are searched for longer.
+    reached : float
+        The largest gain of others beside the same model.
     workers : int
         Processors.
     progress : callable, optional
@@ -418,12 +423,14 @@ def try_all(
         # As many effects, and not only laws of one.
         first = {without_law(each.effect): place for place, each in reversed([*enumerate(tried)])}
         contest = {*range(_CONTEST), *sorted(first.values())[:_CONTEST]}
+        largest = max((reached, *(each.gain for each in tried if each.refit is not None)))
+        hopeful = max(GATE, _HOPEFUL * largest)
         chosen = [
             place
             for place, each in enumerate(tried)
             if each.refit is not None
             # What moments that are not known hide has no gain yet to be told by.
-            and ((place in contest and each.gain >= GATE) or (blunt and _is_quick(each.effect)))
+            and ((place in contest and each.gain >= hopeful) or (blunt and _is_quick(each.effect)))
         ]
 
         def closer(place: int) -> Trialled:
@@ -671,6 +678,7 @@ def select(
             [name for name in open_ if all(name != each.effect for each in before)],
             most=_LATER if rounds else _FIRST,
             closely=closely,
+            reached=before[0].gain if before else 0.0,
             workers=workers,
             progress=progress,
         )

@@ -419,7 +419,12 @@ class Problem:
         self.reach[: self.p] = np.where(model.log, _REACH, np.inf)
 
     def search(
-        self, state: FloatArray, *, tolerance: float, max_evaluations: int = 200
+        self,
+        state: FloatArray,
+        *,
+        tolerance: float,
+        max_evaluations: int = 200,
+        known: tuple[FloatArray, FloatArray] | None = None,
     ) -> Solution:
         """
         Search for the least squares from a state.
@@ -432,6 +437,8 @@ class Problem:
             The search ends where the linear model promises a smaller relative drop.
         max_evaluations : int
             Or after this many evaluations.
+        known : (ndarray, ndarray), optional
+            What `evaluate` has returned for the start beside the same noise.
 
         Returns
         -------
@@ -448,6 +455,7 @@ class Problem:
             self.evaluate,
             state,
             self.bounds,
+            known=known,
             reach=self.reach,
             tolerance=tolerance,
             max_evaluations=max_evaluations,
@@ -645,21 +653,27 @@ class Problem:
             weights.append(1.0 / (_ZERO * trial.peak_force))
         return np.array(known, dtype=np.intp), np.array(weights)
 
-    def scatter_price(self, state: FloatArray) -> float:
+    def scatter_price(self, state: FloatArray, jacobian: FloatArray | None = None) -> float:
         """
         Return what the freedom of the trials to scatter costs in minus twice the log likelihood.
 
         It is ``log det(I + S A^T A S)``, with the standard deviations S of the scatter and the
         whitened derivatives A of each trial beyond those of its other own parameters (Laplace's
-        approximation of the integral over the scatter); zero without scatter.
+        approximation of the integral over the scatter); zero without scatter. The `jacobian` is
+        that of `evaluate` at the same state, if it is known.
         """
         total, k = 0.0, self.scatter.size
         if not k:
             return total
-        for index in range(len(self.trials)):
-            _, jacobian = self.reduced(state, index)
-            known, _ = self._known(self.trials[index])
-            own = np.split(jacobian, [self.p], axis=1)[1][: -known.size]
+        if jacobian is None:
+            _, jacobian = self.evaluate(state)
+        first = 0
+        for trial, place in zip(self.trials, self.places, strict=True):
+            known, _ = self._known(trial)
+            # The factor of its parameters and residual, then what is known beforehand.
+            last = first + self.p + place.stop - place.start + 1
+            own = jacobian[first:last, place]
+            first = last + known.size
             columns = np.arange(own.shape[1])
             chosen = (columns >= self.q) & (columns < self.q + k)
             basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)

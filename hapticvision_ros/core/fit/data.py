@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 import math
+from types import EllipsisType
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.fit.bend import (
@@ -117,6 +118,8 @@ _CERTAIN: Final = 4.5
 """Logarithm of how much more likely all of them are, from which on they are of a moment."""
 _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
+_DIGITS: Final = 2
+"""Binary digits of a length of a step in samples, after the first."""
 _WINDOW: Final = 512
 _WINDOW_EVERY: Final = 8192
 """Samples in a window at the full rate, and from one to the next."""
@@ -663,7 +666,7 @@ def prepare(
     trials: Sequence[tuple[Trial, Segmentation]],
     *,
     windows: bool = False,
-    servo: Servo | None = None,
+    servo: Servo | EllipsisType | None = ...,
     momentary: bool | None = None,
     range_end: float = math.inf,
 ) -> tuple[tuple[FitTrial | None, ...], tuple[str, ...]]:
@@ -677,8 +680,9 @@ def prepare(
     windows : bool
         Whether each force sample has a step of its own not only near events but also in windows
         all over the trial, for what is faster than the steps elsewhere.
-    servo : Servo, optional
-        How the arm changes its speed; what the encoders tell of it by default.
+    servo : Servo or None, optional
+        How the arm changes its speed, None where that is not known; what the encoders tell of it
+        by default.
     momentary : bool, optional
         Whether the readings of the force are of a moment, so that those beside a touch do not tell
         when within a sample it was; what the touches tell by default.
@@ -698,7 +702,7 @@ def prepare(
     unknown: list[str | None] = []
     pushes: list[tuple[float, float]] = []
     first = min((trial.start_ns for trial, _ in trials), default=0)
-    if servo is None:
+    if isinstance(servo, EllipsisType):
         servo = arm_of(trials)[0]
     if momentary is None:
         momentary = reads_at_moments(trials)
@@ -1183,10 +1187,13 @@ def _steps(
 
 @kernel()
 def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def]
-    """Mark the edges that remain."""
-    # Samples per step, integrated: an edge stays wherever the sum passes a whole number.
-    total = 1e-9
-    whole = 0.0
+    """
+    Mark the edges that remain.
+
+    Many steps in a row are of one length: what a chain of elements does in a step is worked out
+    anew for each other length.
+    """
+    since = 0
     after = 0
     for i in range(edges.size - 1):
         middle = 0.5 * (edges[i + 1] + edges[i])
@@ -1197,14 +1204,16 @@ def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def
             distance = middle - events[after - 1]
         if after < events.size:
             distance = min(distance, events[after] - middle)
-        if i % _WINDOW_EVERY < window:
-            total += 1.0
-        else:
-            total += 1.0 / max(_GROWTH * distance / interval, 1.0)
-        passed = np.floor(total)
-        if passed > whole and i > 0:
+        samples = 1.0
+        if i % _WINDOW_EVERY >= window:
+            samples = max(_GROWTH * distance / interval, 1.0)
+            # The nearest whole number of so few digits, in twos.
+            unit = 2.0 ** max(np.floor(np.log2(samples)) - _DIGITS, 0.0)
+            samples = unit * np.round(samples / unit)
+        since += 1
+        if since >= samples and i > 0:
             kept[i + 1] = True
-        whole = passed
+            since = 0
 
 
 def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:

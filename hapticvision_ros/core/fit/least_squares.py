@@ -66,7 +66,7 @@ class Solution:
     converged : bool
         Whether no step promised more than the tolerance.
     evaluations : int
-        How often the model was evaluated.
+        How often the model was evaluated, at the start too.
 
     """
 
@@ -206,6 +206,7 @@ def minimise(
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None = None,
     *,
+    known: tuple[FloatArray, FloatArray] | None = None,
     reach: FloatArray | None = None,
     tolerance: float = 1e-10,
     step_tolerance: float = 0.0,
@@ -226,6 +227,9 @@ def minimise(
         Where to start; moved into the bounds.
     bounds : (ndarray, ndarray), optional
         Least and greatest theta, shapes (p,).
+    known : (ndarray, ndarray), optional
+        Residual and Jacobian at the start, where it is within the bounds, if the model has been
+        evaluated there.
     reach : ndarray, shape (p,), optional
         The largest change of each parameter in one step. One that hardly matters where the search
         starts has next to no say in the trust region, which shrinks to nothing before such a
@@ -250,7 +254,7 @@ def minimise(
     """
     lower, upper = bounds if bounds is not None else (np.full(start.size, -np.inf), np.inf)
     theta = np.clip(np.asarray(start, dtype=np.float64), lower, upper)
-    residual, jacobian = model(theta)
+    residual, jacobian = model(theta) if known is None else known
     cost = float(residual @ residual)
     if not math.isfinite(cost):
         raise NotFiniteError('the model is not finite at the start')

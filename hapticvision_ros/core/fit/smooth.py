@@ -182,17 +182,19 @@ def taken(value, variance, m, p):  # type: ignore[no-untyped-def]
     """Take a sample into mean and covariance; return minus twice its log likelihood."""
     s = p[0] + variance
     miss = value - m[0]
-    x, v, a = p[0] / s, p[1] / s, p[2] / s
+    certainty = 1.0 / s
+    left = variance * certainty
+    x, v, a = p[0] * certainty, p[1] * certainty, p[2] * certainty
     m[0] += x * miss
     m[1] += v * miss
     m[2] += a * miss
     p[5] -= a * p[2]
     p[4] -= a * p[1]
     p[3] -= v * p[1]
-    p[2] = p[2] * variance / s
-    p[1] = p[1] * variance / s
-    p[0] = p[0] * variance / s
-    return miss * miss / s + np.log(s / variance)
+    p[2] *= left
+    p[1] *= left
+    p[0] *= left
+    return miss * miss * certainty - np.log(left)
 
 
 @kernel(error_model='numpy')

@@ -296,6 +296,20 @@ def _memory_weight(k, c1, h, against):  # type: ignore[no-untyped-def]
     return k * value + c1 / h, value + x * slope, k * x * slope
 
 
+@kernel(inline='always', error_model='numpy')
+def _gone(x):  # type: ignore[no-untyped-def]
+    """Return 1 - exp(-x) for x >= 0: most units are much slower than a step, or much faster."""
+    if x < 0.1:
+        # The next term of the series is below 3e-14.
+        x2 = x * x
+        even = 1.0 + x2 * (1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (1.0 / 5040.0)))
+        odd = 0.5 + x2 * (1.0 / 24.0 + x2 * (1.0 / 720.0 + x2 * (1.0 / 40320.0)))
+        return x * (even - x * odd)
+    if x > 40.0:
+        return 1.0
+    return -np.expm1(-x)
+
+
 @kernel(error_model='numpy')
 def _end_weight(r):  # type: ignore[no-untyped-def]
     """
@@ -348,58 +362,55 @@ def _held(gap, more, opening, decay):  # type: ignore[no-untyped-def]
 
 @kernel(error_model='numpy')
 def _lead(  # type: ignore[no-untyped-def]
-    h, stiffness, viscosity, fluidity, d_stiffness, d_viscosity, d_fluidity, lead, lead_h, d_lead
+    h, pace, give, d_pace, d_give, solidity, d_fluid, lead, lead_h, d_lead
 ):
     """
     Set how fast that rises to which the force of the compliances falls within a step.
 
     It is (v + sum k z / c) / fluidity for a tool of speed v, and rises as the units yield to it,
     each by no more than it has to: by `lead` times v and the z of the units, all in a row.
-    `lead_h` is its slope in the length of the step, `d_lead` along the directions.
+    `lead_h` is its slope in the length of the step, `d_lead` along the directions. Of each unit
+    it takes k / c and k / c^2, which are zero for a spring, and 1 / fluidity, whose relative
+    change along a direction is `-d_fluid`.
     """
-    lead[:] = 0.0
-    lead_h[:] = 0.0
-    d_lead[:] = 0.0
+    directions = d_lead.shape[0]
+    d_lead[:, 0] = 0.0
     yields = 0.0
     yields_h = 0.0
-    for k in range(stiffness.size):
-        if viscosity[k] == 0.0:
+    for k in range(pace.size):
+        if pace[k] == 0.0:
             continue
-        pace = stiffness[k] / viscosity[k]
-        x = pace * h
-        part = -np.expm1(-x) / x
-        part_x = (np.exp(-x) - part) / x
+        x = pace[k] * h
+        gone = _gone(x)
+        part = gone / x
+        part_x = (1.0 - gone - part) / x
         if x < 1e-3:
             part_x = x / 3.0 - 0.5
-        give = pace / viscosity[k]
-        yields += part * give
-        yields_h += part_x * pace * give
-        lead[1 + k] = -part * pace * pace / fluidity
-        lead_h[1 + k] = -part_x * pace * pace * pace / fluidity
-        for j in range(d_lead.shape[0]):
-            d_pace = (d_stiffness[j, k] - pace * d_viscosity[j, k]) / viscosity[k]
-            d_part = part_x * h * d_pace
-            d_lead[j, 0] += d_part * give
-            d_lead[j, 0] += part * (d_pace - give * d_viscosity[j, k]) / viscosity[k]
-            d_lead[j, 1 + k] = -(d_part * pace + 2.0 * part * d_pace) * pace / fluidity
-            d_lead[j, 1 + k] -= lead[1 + k] * d_fluidity[j] / fluidity
-    share = yields / fluidity
-    for j in range(d_lead.shape[0]):
-        d_lead[j, 0] = (d_lead[j, 0] - share * d_fluidity[j]) / fluidity
-    for k in range(stiffness.size):
-        if viscosity[k] == 0.0:
+        squared = pace[k] * pace[k] * solidity
+        yields += part * give[k]
+        yields_h += part_x * pace[k] * give[k]
+        lead[1 + k] = -part * squared
+        lead_h[1 + k] = -part_x * pace[k] * squared
+        for j in range(directions):
+            d_part = part_x * h * d_pace[j, k]
+            d_lead[j, 0] += d_part * give[k] + part * d_give[j, k]
+            d_both = d_part * pace[k] + 2.0 * part * d_pace[j, k]
+            d_lead[j, 1 + k] = part * squared * d_fluid[j] - d_both * pace[k] * solidity
+    share = yields * solidity
+    for j in range(directions):
+        d_lead[j, 0] = d_lead[j, 0] * solidity - share * d_fluid[j]
+    for k in range(pace.size):
+        if pace[k] == 0.0:
             continue
-        pace = stiffness[k] / viscosity[k]
-        lead[1 + k] += pace * share / fluidity
-        lead_h[1 + k] += pace * yields_h / (fluidity * fluidity)
-        for j in range(d_lead.shape[0]):
-            d_pace = (d_stiffness[j, k] - pace * d_viscosity[j, k]) / viscosity[k]
-            change = d_pace * share + pace * (d_lead[j, 0] - share * d_fluidity[j] / fluidity)
-            d_lead[j, 1 + k] += change / fluidity
-    lead[0] = share / fluidity
-    lead_h[0] = yields_h / (fluidity * fluidity)
-    for j in range(d_lead.shape[0]):
-        d_lead[j, 0] = (d_lead[j, 0] - lead[0] * d_fluidity[j]) / fluidity
+        lead[1 + k] += pace[k] * share * solidity
+        lead_h[1 + k] += pace[k] * yields_h * solidity * solidity
+        for j in range(directions):
+            change = d_pace[j, k] * share + pace[k] * (d_lead[j, 0] - share * d_fluid[j])
+            d_lead[j, 1 + k] += change * solidity
+    lead[0] = share * solidity
+    lead_h[0] = yields_h * solidity * solidity
+    for j in range(directions):
+        d_lead[j, 0] = d_lead[j, 0] * solidity - lead[0] * d_fluid[j]
 
 
 @kernel(inline='always', error_model='numpy')
@@ -543,18 +554,25 @@ def _respond(  # type: ignore[no-untyped-def]
         d_compliance[j] = dq[j, _C0] + dq[j, _CM]
         compliant = compliant or d_compliance[j] != 0.0
 
+    solidity = 1.0 / fluidity
+    d_fluid = d_fluidity * solidity
+
     # The units of the chain in one row, with the first.
-    row_k = np.empty(units + 1)
-    row_c = np.empty(units + 1)
-    row_k[0], row_c[0] = k1, c1
-    row_k[1:] = ku
-    row_c[1:] = cu
-    d_row_k = np.empty((directions, units + 1))
-    d_row_c = np.empty((directions, units + 1))
-    for j in range(directions):
-        d_row_k[j, 0], d_row_c[j, 0] = dq[j, _K1], dq[j, _C1]
-        d_row_k[j, 1:] = dku[j]
-        d_row_c[j, 1:] = dcu[j]
+    row_pace = np.zeros(units + 1)
+    row_give = np.zeros(units + 1)
+    d_row_pace = np.zeros((directions, units + 1))
+    d_row_give = np.zeros((directions, units + 1))
+    for k in range(units + 1):
+        viscosity = c1 if k == 0 else cu[k - 1]
+        if viscosity == 0.0:
+            continue
+        row_pace[k] = (k1 if k == 0 else ku[k - 1]) / viscosity
+        row_give[k] = row_pace[k] / viscosity
+        for j in range(directions):
+            d_viscosity = dq[j, _C1] if k == 0 else dcu[j, k - 1]
+            change = dq[j, _K1] if k == 0 else dku[j, k - 1]
+            d_row_pace[j, k] = (change - row_pace[k] * d_viscosity) / viscosity
+            d_row_give[j, k] = (d_row_pace[j, k] - row_give[k] * d_viscosity) / viscosity
     leads = np.zeros(units + 2)
     leads_h = np.zeros(units + 2)
     d_leads = np.zeros((directions, units + 2))
@@ -575,7 +593,8 @@ def _respond(  # type: ignore[no-untyped-def]
     zu = np.zeros(units)
     left_u = np.zeros(units)
     softness = 1.0 / ku
-    pace = np.zeros(units)
+    pace = ku / cu
+    d_pace = (dku - pace * dcu) / cu
     d_softness = -dku * softness * softness
     d_kept = np.zeros((directions, units))
     flow_series = np.zeros(8)
@@ -791,12 +810,12 @@ def _respond(  # type: ignore[no-untyped-def]
                     lead_weight = (1.0 - 0.5 * kappa) * h
                     _lead(
                         h,
-                        row_k,
-                        row_c,
-                        fluidity,
-                        d_row_k,
-                        d_row_c,
-                        d_fluidity,
+                        row_pace,
+                        row_give,
+                        d_row_pace,
+                        d_row_give,
+                        solidity,
+                        d_fluid,
                         leads,
                         leads_h,
                         d_leads,
@@ -806,8 +825,7 @@ def _respond(  # type: ignore[no-untyped-def]
                 give = flow_give + kappa * c0
                 ahead_give = flow_give + waits * kappa
                 for k in range(units):
-                    pace[k] = ku[k] / cu[k]
-                    left_u[k] = -np.expm1(-pace[k] * h)
+                    left_u[k] = _gone(pace[k] * h)
                     kept_u[k] = 1.0 - left_u[k]
                     kept_twice[k] = kept_u[k] * kept_u[k]
                     unit_give[k] = left_u[k] * softness[k]
@@ -839,7 +857,7 @@ def _respond(  # type: ignore[no-untyped-def]
                         bent[j, _B_END] = d_kappa * d_r / fluidity
                     if own_units[j]:
                         for k in range(units):
-                            change = h * kept_u[k] * (dku[j, k] - pace[k] * dcu[j, k]) / cu[k]
+                            change = h * kept_u[k] * d_pace[j, k]
                             d_kept[j, k] = -change
                             d_unit_give[j, k] = change * softness[k] + left_u[k] * d_softness[j, k]
             for j in range(directions):
@@ -1077,22 +1095,20 @@ def _respond(  # type: ignore[no-untyped-def]
                     e, e_k, e_x = _memory_weight(k1, c1, hs, against)
                 unit_compliance = 0.0
                 for k in range(units):
-                    pace[k] = ku[k] / cu[k]
-                    left_u[k] = -np.expm1(-pace[k] * hs)
-                    unit_compliance += left_u[k] / ku[k]
+                    left_u[k] = _gone(pace[k] * hs)
+                    unit_compliance += left_u[k] * softness[k]
                     for j in range(directions):
-                        d_kept[j, k] = hs * (pace[k] * dcu[j, k] - dku[j, k]) / cu[k]
-                        d_kept[j, k] *= 1.0 - left_u[k]
+                        d_kept[j, k] = hs * (left_u[k] - 1.0) * d_pace[j, k]
                 if compliant:
                     kappa, d_kappa = _end_weight(compliance / (hs * fluidity))
                     _lead(
                         hs,
-                        row_k,
-                        row_c,
-                        fluidity,
-                        d_row_k,
-                        d_row_c,
-                        d_fluidity,
+                        row_pace,
+                        row_give,
+                        d_row_pace,
+                        d_row_give,
+                        solidity,
+                        d_fluid,
                         leads,
                         leads_h,
                         d_leads,

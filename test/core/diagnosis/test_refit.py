@@ -21,7 +21,8 @@ import math
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
+from hapticvision_ros.core.diagnosis import refit as refitting
+from hapticvision_ros.core.diagnosis.refit import _is_beyond, Columns, Refit, Start, Workbench
 from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, strength
 from hapticvision_ros.core.diagnosis.structure import GATE, look
 from hapticvision_ros.core.effects import EFFECTS
@@ -335,6 +336,73 @@ def test_the_price_of_scatter_is_a_ratio_of_determinants(quiet: Bench) -> None:
     # The flat part is a million times the noise.
     assert problem.scatter_price(state) == pytest.approx(expected, rel=1e-3)
     assert expected > 1.0
+    _, jacobian = problem.evaluate(state)
+    assert problem.scatter_price(state, jacobian) == problem.scatter_price(state)
+    # What is known of the derivatives is taken.
+    assert problem.scatter_price(state, 2.0 * jacobian) > expected + 1.0
+
+
+def test_no_state_is_evaluated_twice_beside_one_noise(
+    lacking: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, base = lacking
+    asked = []
+    evaluate = Problem.evaluate
+
+    def counted(problem: Problem, state: Any) -> Any:
+        # The filters stand for the noise, and are kept so that no other takes their place.
+        asked.append((state.tobytes(), problem._weights))
+        return evaluate(problem, state)
+
+    monkeypatch.setattr(Problem, 'evaluate', counted)
+    for names in (('yield_force',), ('second_retardation',)):
+        asked.clear()
+        assert bench.refit(Model(names), base) is not None
+        each = [(state, id(noise)) for state, noise in asked]
+        assert len(each) > 10
+        assert len(set(each)) == len(each)
+
+
+def test_a_start_that_promises_less_than_is_reached_is_left_where_promises_are_kept(
+    lacking: Bench,
+) -> None:
+    nothing = np.empty(0)
+    first, other, body = (
+        Start(np.array(state), nothing, nothing, left)
+        for state, left in (
+            ([1.0, 2.0, 3.0, 0.1], 900.0),
+            ([1.0, 2.0, 3.0, 0.5], 910.0),
+            ([1.0, 2.5, 3.0, 0.5], 910.0),
+        )
+    )
+    # One step promised 100 of 1000.
+    assert _is_beyond(other, first, 901.0, 100.0)
+    assert not _is_beyond(first, first, 901.0, 100.0)
+    assert not _is_beyond(body, first, 901.0, 100.0), 'what another body promises is less exact'
+    assert not _is_beyond(other, first, 912.0, 100.0), 'it promises more'
+    assert not _is_beyond(other, first, 894.0, 100.0), 'the first was further than one step'
+
+
+def test_all_starts_of_what_is_scanned_are_followed(
+    lacking: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, base = lacking
+    monkeypatch.setattr(refitting, '_is_beyond', lambda start, first, *_: start is not first)
+    followed = []
+    search = Problem.search
+
+    def counted(problem: Problem, state: Any, **how: Any) -> Any:
+        followed.append(state.tobytes())
+        return search(problem, state, **how)
+
+    monkeypatch.setattr(Problem, 'search', counted)
+    for name, scanned in (('yield_force', False), ('second_retardation', True)):
+        looked = bench.look(Model((name,)), base)
+        assert len(looked.starts) > 1
+        followed.clear()
+        bench.refit(Model((name,)), base, looked)
+        others = [start.state.tobytes() in followed for start in looked.starts[1:]]
+        assert others == [scanned] * len(others)
 
 
 def test_without_scatter_there_is_no_price(quiet: Bench) -> None:

@@ -254,6 +254,10 @@ def test_steps_hold_every_sample_once_and_are_short_near_events() -> None:
     assert made.force.size < 0.1 * len(trial.force)
     near = np.abs(made.t[:-1] - 3.0) < 0.02
     assert np.all(made.force_count[near] == 1.0)
+    # Most steps are as long as the one before them, and some are many times longer than others.
+    alike = np.diff(made.force_count[1:]) == 0.0
+    assert np.count_nonzero(~alike) < 0.2 * alike.size
+    assert made.force_count.max() > 50.0
     full = made.full_rate
     assert full.force.size == len(trial.force)
     head = made.head(50)

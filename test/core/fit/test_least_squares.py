@@ -164,6 +164,23 @@ def test_what_hardly_matters_at_the_start_does_not_hold_up_the_others() -> None:
     assert found.theta == pytest.approx([5.0, math.log(2.0)], rel=1e-3)
 
 
+def test_what_is_known_of_the_start_is_not_asked_again() -> None:
+    asked = []
+
+    def line(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(theta.tolist())
+        return _line(theta)
+
+    start = np.array([5.0, 1.0])
+    plain = minimise(line, start)
+    assert asked[0] == start.tolist()
+    first, asked = asked, []
+    again = minimise(line, start, known=_line(start))
+    assert asked == first[1:]
+    assert again.theta.tolist() == plain.theta.tolist()
+    assert again.evaluations == plain.evaluations
+
+
 def test_a_search_from_zero_that_no_step_improves_comes_to_an_end() -> None:
     """At a kink, of which the slope on one side says that the other is lower."""
 

@@ -25,7 +25,7 @@ import math
 from hapticvision_ros.core.effects.declaration import Draft
 from hapticvision_ros.core.effects.springpot import EFFECT as SPRINGPOT
 from hapticvision_ros.core.effects.springpot import REFERENCE_TIME
-from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
+from hapticvision_ros.core.models.chain import _gone, Chain, neutral, respond, Slot
 from hapticvision_ros.core.models.three_element import respond as respond_exactly
 from hapticvision_ros.core.models.three_element import ThreeElement
 from hapticvision_ros.sim import specimen
@@ -384,6 +384,12 @@ def test_a_thinning_that_is_none_yet_has_its_derivative() -> None:
     sides = [respond(t, d, Body(n=1.0 + step).chain()).force for step in (-1e-5, 1e-5)]
     slope = (sides[1] - sides[0]) / 2e-5
     assert found == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
+
+
+def test_what_a_unit_has_gone_is_exact_in_steps_of_any_length() -> None:
+    """Beside the series for short ones, and where nothing is left."""
+    x = np.concatenate(([0.0, np.nextafter(0.1, 0.0), 0.1, 40.0, 1e9], np.geomspace(1e-12, 60.0)))
+    np.testing.assert_allclose([_gone(each) for each in x], -np.expm1(-x), rtol=1e-13)
 
 
 @pytest.mark.parametrize('name', ['series spring', 'second unit', 'thinning', 'machine'])
