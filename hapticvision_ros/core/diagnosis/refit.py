@@ -612,7 +612,7 @@ class Workbench:
 
         What is `known` is what the problem was evaluated to at the state beside its noise.
         """
-        best, at_best = None, None
+        best, at_best, begin = None, None, state
         for turn in range(_ROUNDS):
             state = state.copy()
             # A jump that is misplaced passes for one whose moment is not known.
@@ -637,20 +637,24 @@ class Workbench:
             cost = float(known[0] @ known[0])
             deviance = cost + problem.log_determinant + problem.scatter_price(state, known[1])
             if best is not None and deviance > best.deviance - _ENOUGH:
-                if deviance < best.deviance:
-                    best = replace(best, state=state)
-                    at_best = None if moved else (end.residual, end.jacobian)
+                if not moved:
+                    # The search was made beside the best noise, from where that was seen.
+                    begin, known = state, (end.residual, end.jacobian)
+                elif deviance < best.deviance:
+                    begin, known = state, None
+                else:
+                    known = at_best
                 break
-            at_best = known
             best = Refit(problem.model, problem, state, cost, deviance, force, height, blur, jumps)
+            begin, at_best = state, known
         assert best is not None
         # The noise goes with the parameters that it was seen beside.
         problem.set_noise(best.force_noise, best.height_noise, best.jumps)
         solution = problem.search(
-            best.state,
+            begin,
             tolerance=_TOLERANCE,
             max_evaluations=_STEPS,
-            known=at_best,
+            known=known,
         )
         return replace(
             best,
