@@ -161,7 +161,7 @@ def diagnose(
 
     trials = pairs_of(campaign)
     tell('fitting the three-element model')
-    arm, corners = arm_of(trials) if servo is None else (servo, ())
+    arm, corners = arm_of(trials, workers=workers) if servo is None else (servo, ())
     prepared, known = prepare(trials, servo=arm)
     before = fit_prepared(prepared, Model(), warnings=known)
     line = line_spectrum(before.problem, before.state).chance < _LINE

@@ -32,6 +32,7 @@ import math
 from types import EllipsisType
 from typing import Final, NamedTuple
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.fit.bend import (
     Bend,
     BRISK,
@@ -51,7 +52,7 @@ from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.simplex import minimum
-from hapticvision_ros.core.fit.way import smooth, Way
+from hapticvision_ros.core.fit.way import keep, kept, Key, smooth, Way
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.outliers import absurd, median_of_five, NORMAL_FROM_MAD, runs
@@ -1024,7 +1025,7 @@ def _without(samples: Samples, times: FloatArray, *, at_the_end: bool = False) -
 
 
 def arm_of(
-    trials: Sequence[tuple[Trial, Segmentation]],
+    trials: Sequence[tuple[Trial, Segmentation]], *, workers: int = 1
 ) -> tuple[Servo | None, tuple[Corner, ...]]:
     """
     Return how the arm changes its speed.
@@ -1033,6 +1034,8 @@ def arm_of(
     ----------
     trials : sequence of (Trial, Segmentation)
         A campaign.
+    workers : int
+        Processors.
 
     Returns
     -------
@@ -1044,16 +1047,10 @@ def arm_of(
     """
     turns: list[_Turned] = []
     others: list[_Turned] = []
-    for trial, phases in trials:
-        displacement = _displacement(trial, phases)
-        if displacement is None or phases.push_is_cut:
-            continue
-        reached = displacement.t > float(phases.t_contact or 0.0)
-        if np.count_nonzero(reached) >= _FEWEST and displacement.value[reached].max() > 0.0:
-            path, found = _path(displacement, phases, None)
-            for turn in found:
-                near = _on_the_object(turn, phases, path.interval)
-                (turns if near else others).append(turn)
+    for near, away, ways in parallel.each(_turns_of, trials, workers):
+        turns += near
+        others += away
+        keep(ways)
     corners = [turn.corner for turn in turns]
     servo = servo_of(corners, [turn.shape for turn in turns])
     if others and (servo is None or lasting(corners, servo) < _WELL_SHOWN):
@@ -1070,6 +1067,24 @@ def arm_of(
             if not is_apart(turn.corner, turn.corner.deviance(turn.shape), servo)
         ]
     return servo, tuple(turn.corner for turn in turns)
+
+
+def _turns_of(
+    each: tuple[Trial, Segmentation],
+) -> 'tuple[list[_Turned], list[_Turned], dict[Key, Way]]':
+    """Return how the tool turns on the object, and elsewhere, and what ways have been smoothed."""
+    trial, phases = each
+    known, near, away = kept(), list[_Turned](), list[_Turned]()
+    displacement = _displacement(trial, phases)
+    if displacement is None or phases.push_is_cut:
+        return near, away, {}
+    reached = displacement.t > float(phases.t_contact or 0.0)
+    if np.count_nonzero(reached) >= _FEWEST and displacement.value[reached].max() > 0.0:
+        path, found = _path(displacement, phases, None)
+        for turn in found:
+            on_it = _on_the_object(turn, phases, path.interval)
+            (near if on_it else away).append(turn)
+    return near, away, {key: way for key, way in kept().items() if key not in known}
 
 
 def _is_as_good(whole: Servo, servo: Servo | None, turns: 'Sequence[_Turned]') -> bool:
@@ -1206,7 +1221,8 @@ def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def
             distance = min(distance, events[after] - middle)
         samples = 1.0
         if i % _WINDOW_EVERY >= window:
-            samples = max(_GROWTH * distance / interval, 1.0)
+            # Without events one step is as good as many.
+            samples = min(max(_GROWTH * distance / interval, 1.0), edges.size)
             # The nearest whole number of so few digits, in twos.
             unit = 2.0 ** max(np.floor(np.log2(samples)) - _DIGITS, 0.0)
             samples = unit * np.round(samples / unit)

@@ -21,8 +21,8 @@ that the samples allow, beside ripples that repeat: these are told by all their 
 
 """
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from threading import Lock
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.fit.ripple import candidates, Ripple
@@ -44,6 +44,13 @@ _CLOSE: Final = 0.5
 """Promise of a ripple that may be the better one, over the greatest."""
 _MOST_RIPPLES: Final = 3
 """Ripples of one record, at most."""
+_MOST_KEPT: Final = 64
+
+type Key = tuple[bytes, bytes, float]
+
+_kept: Final[dict[Key, 'Way']] = {}
+"""A campaign's paths are made several times, for arms that change their speed otherwise."""
+_lock: Final = Lock()
 
 
 class Way(NamedTuple):
@@ -85,13 +92,29 @@ def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
         It, from the first sample to the last.
 
     """
-    return _smooth(t.tobytes(), value.tobytes(), noise)
+    key = t.tobytes(), value.tobytes(), noise
+    way = _kept.get(key)
+    if way is None:
+        way = _smooth(t, value, noise)
+        keep({key: way})
+    return way
 
 
-@lru_cache(maxsize=64)
-def _smooth(samples: bytes, heights: bytes, noise: float) -> Way:
-    # A campaign's paths are made several times, for arms that change their speed otherwise.
-    t, value = np.frombuffer(samples).copy(), np.frombuffer(heights).copy()
+def kept() -> dict[Key, Way]:
+    """Return the ways that are known, by their samples: for a process that does not know them."""
+    with _lock:
+        return dict(_kept)
+
+
+def keep(ways: Mapping[Key, Way]) -> None:
+    """Know some ways, in place of the oldest ones where they are many."""
+    with _lock:
+        _kept.update(ways)
+        for oldest in [*_kept][: max(len(_kept) - _MOST_KEPT, 0)]:
+            del _kept[oldest]
+
+
+def _smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
     found = adapted(t, value, noise)
     ripples: list[Ripple] = []
     left = value

@@ -25,6 +25,7 @@ from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.search import _contenders, _parted, choose_again, diagnose
 from hapticvision_ros.core.diagnosis.selection import Round, Trialled
+from hapticvision_ros.core.fit import data, way
 from hapticvision_ros.core.fit.bend import told
 from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
@@ -511,8 +512,8 @@ def test_ways_that_the_encoders_leave_open_lead_away_from_the_limits(smoothed: A
         ways = search._open_ways(corners, arm)
         assert ways.shape == ((4, 4) if arm.swing else (3, 3))
         start = told(corners, arm)
-        for way in ways.tolist():
-            other = arm.changed(*(0.5 * np.array(way)).tolist())
+        for step in ways.tolist():
+            other = arm.changed(*(0.5 * np.array(step)).tolist())
             assert other != arm
             # A step is one that the encoders allow, if all of it can be gone.
             assert told(corners, other) - start < 30.0
@@ -522,3 +523,47 @@ def test_what_was_accepted_is_no_rival_of_another() -> None:
     sets = [('series_spring', 'force_lag', 'yield_force'), ('yield_force',)]
     parted = _parted(sets, ('series_spring', 'yield_force'))
     assert parted == [('series_spring', 'force_lag'), ('yield_force',)]
+
+
+def test_what_a_diagnosis_knows_of_the_arm_is_found_once(
+    noise_only: Any, yielding: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By several processes as by one; what they have smoothed is not smoothed again."""
+    smoothed = []
+    smooth = way._smooth
+
+    def counted(t: Any, value: Any, noise: float) -> way.Way:
+        smoothed.append(t.size)
+        return smooth(t, value, noise)
+
+    monkeypatch.setattr(way, '_smooth', counted)
+    monkeypatch.setattr(way, '_kept', {})
+    alone = arm_of(noise_only.pairs)
+    count = len(smoothed)
+    assert count == len(noise_only.pairs)
+    monkeypatch.setattr(way, '_kept', {})
+    together = arm_of(noise_only.pairs, workers=2)
+    assert together[0] == alone[0]
+    assert [corner.t.tolist() for corner in together[1]] == [c.t.tolist() for c in alone[1]]
+    assert len(smoothed) == count
+    asked = []
+
+    def asking(*of: Any, **how: Any) -> Any:
+        asked.append(how)
+        return arm_of(*of, **how)
+
+    for place in (data, search):
+        monkeypatch.setattr(place, 'arm_of', asking)
+    assert diagnose(noise_only.pairs).status == 'none'
+    assert len(smoothed) == count
+    asked.clear()
+    assert diagnose(yielding.pairs).effects == ('yield_force',)
+    assert len(asked) == 1
+
+
+def test_ways_that_are_kept_make_room_for_later_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(way, '_kept', {})
+    found = way.Way(np.zeros(2), np.zeros(2), 0.0, 1.0)
+    for number in range(70):
+        way.keep({(b'', b'', float(number)): found})
+    assert [key[2] for key in way.kept()] == list(range(6, 70))
