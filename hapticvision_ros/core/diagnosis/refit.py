@@ -51,7 +51,7 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.least_squares import triangle
+from hapticvision_ros.core.fit.least_squares import Evaluated, triangle
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     Record,
@@ -83,10 +83,6 @@ _SMALL: Final = 1e-3
 """Step from an effect's absence where it has no first guess."""
 _TOLERANCE: Final = 1e-6
 """Relative change of the squares that is none: below one in any campaign of a million samples."""
-
-
-type Evaluated = tuple[FloatArray, FloatArray]
-"""Whitened residual and Jacobian, as `Problem.evaluate` returns them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,10 +287,9 @@ class Workbench:
         scanned = any(len(model.parameters[k].scan) > 1 for k in added)
         for start in look.starts:
             # A search finds its way between the values that are scanned from close by only.
-            if best is not None and not scanned:
-                first = look.starts[0]
-                if _is_beyond(start, first, best.cost, near.cost - first.left):
-                    continue
+            reached = math.inf if best is None or scanned else best.cost
+            if _is_beyond(start, look.starts[0], reached, look.promise):
+                continue
             with contextlib.suppress(ValueError):
                 end = problem.search(
                     start.state,
@@ -308,10 +303,10 @@ class Workbench:
             return None
         names = [parameter.symbol for parameter in BASE_PARAMETERS]
         values = near.model.values(near.theta)[: len(names)]
-        begin = in_order(problem, best.theta, dict(zip(names, values.tolist(), strict=True)))
-        known = (best.residual, best.jacobian) if begin is best.theta else None
+        begin = in_order(problem, best, dict(zip(names, values.tolist(), strict=True)))
         noise = near.force_noise, near.height_noise, near.blur
-        return self._settled(problem, begin, *noise, known=known)
+        known = begin.residual, begin.jacobian
+        return self._settled(problem, begin.theta, *noise, known=known)
 
     def look(self, model: Model, near: Refit) -> Look:
         """
@@ -703,7 +698,7 @@ def _promise(residual: FloatArray, jacobian: FloatArray) -> float:
 
 def _is_beyond(start: Start, first: Start, reached: float, promised: float) -> bool:
     """
-    Return whether a start promises less than the first one of the same body has reached.
+    Return whether a start promises less than was reached from the first one of the same body.
 
     What a start promises tells what is reached from it only if it did so for the first.
     """

@@ -40,7 +40,13 @@ from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.effects.declaration import Prediction, Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
-from hapticvision_ros.core.fit.least_squares import minimise, NotFiniteError, Solution, triangle
+from hapticvision_ros.core.fit.least_squares import (
+    Evaluated,
+    minimise,
+    NotFiniteError,
+    Solution,
+    triangle,
+)
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     deviance,
@@ -424,7 +430,7 @@ class Problem:
         *,
         tolerance: float,
         max_evaluations: int = 200,
-        known: tuple[FloatArray, FloatArray] | None = None,
+        known: Evaluated | None = None,
     ) -> Solution:
         """
         Search for the least squares from a state.
@@ -437,7 +443,7 @@ class Problem:
             The search ends where the linear model promises a smaller relative drop.
         max_evaluations : int
             Or after this many evaluations.
-        known : (ndarray, ndarray), optional
+        known : Evaluated, optional
             What `evaluate` has returned for the start beside the same noise.
 
         Returns
@@ -583,7 +589,7 @@ class Problem:
         height[-1] = prediction.height + height_zero - trial.height
         return force, height
 
-    def evaluate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(self, state: FloatArray) -> Evaluated:
         """
         Return the whitened residual and Jacobian, shapes (k,) and (k, size).
 
@@ -857,7 +863,7 @@ def carried(old: Problem, state: FloatArray, new: Problem) -> FloatArray:
     return result
 
 
-def in_order(problem: Problem, state: FloatArray, base: Mapping[str, float]) -> FloatArray:
+def in_order(problem: Problem, ended: Solution, base: Mapping[str, float]) -> Solution:
     """
     Return the same body with its twins exchanged where that is nearer to the base model's.
 
@@ -867,36 +873,35 @@ def in_order(problem: Problem, state: FloatArray, base: Mapping[str, float]) -> 
     ----------
     problem : Problem
         Model and trials.
-    state : ndarray
-        All parameters, where a search has ended.
+    ended : Solution
+        Where a search of the problem has ended.
     base : mapping of str to float
         What the base model shows [SI units].
 
     Returns
     -------
-    ndarray
-        `state` itself, or the best beside what an exchange makes of it.
+    Solution
+        `ended` itself, or the best beside what an exchange makes of it.
 
     """
     model = problem.model
     twins = {p.symbol: p.twin for p in model.parameters if p.twin}
-    values = model.values(state[: problem.p])
+    values = model.values(ended.theta[: problem.p])
     ours, theirs = (
         [model.names.index(name) for name in names] for names in (twins.values(), twins)
     )
     aim = np.log([base[name] for name in twins.values()])
     if not twins or _away(values[theirs], aim) >= _away(values[ours], aim):
-        return state
+        return ended
     values[ours + theirs] = values[theirs + ours]
-    exchanged = state.copy()
+    exchanged = ended.theta.copy()
     exchanged[: problem.p] = np.clip(model.theta(values), *model.bounds)
-    residual, _ = problem.evaluate(state)
     # Another effect may act on one of the two alone.
     try:
         found = problem.search(exchanged, tolerance=1e-4, max_evaluations=_LOOKS)
     except NotFiniteError:
-        return state
-    return found.theta if found.cost < float(residual @ residual) + _SAME else state
+        return ended
+    return found if found.cost < ended.cost + _SAME else ended
 
 
 def _away(values: FloatArray, aim: FloatArray) -> float:
@@ -1267,7 +1272,7 @@ def _weighted(
         state = solution.theta
         if body is not None and turn == 0:
             # The next turn goes on from there.
-            state = in_order(problem, state, body)
+            state = in_order(problem, solution, body).theta
         cleaned = _without_outliers(problem, state, force_noise) if turn == 1 else None
         if cleaned is not None:
             scatter = problem.scatter if problem.scatter.size else None

@@ -107,7 +107,7 @@ class Trained:
     scatter : ndarray, shape (3,) or (0,)
         Standard deviations of the logarithms of K1, C1 and C2 from trial to trial.
     servo : Servo, optional
-        How the arm changes its speed.
+        How the arm changes its speed; what the encoders of the unseen trials tell by default.
     momentary : bool, optional
         Whether the readings of the force are of a moment.
     range_end : float, optional
@@ -432,7 +432,7 @@ def predict_unseen(
     prepared, warnings = prepare(
         pairs,
         windows=fast,
-        servo=trained.servo,
+        servo=... if trained.servo is None else trained.servo,
         momentary=trained.momentary,
         range_end=trained.range_end,
     )

@@ -32,8 +32,10 @@ from hapticvision_ros.core.records import FloatArray
 import numpy as np
 from numpy.typing import NDArray
 
-type ResidualAndJacobian = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""theta, shape (p,), to the residual, shape (m,), and its derivatives, shape (m, p)."""
+type Evaluated = tuple[FloatArray, FloatArray]
+"""A residual, shape (m,), and its derivatives, shape (m, p)."""
+type ResidualAndJacobian = Callable[[FloatArray], Evaluated]
+"""theta, shape (p,), to them."""
 
 _FIRST_RADIUS: Final = 1.0
 """First step in units of the scaled parameters' length (or of one)."""
@@ -206,7 +208,7 @@ def minimise(
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None = None,
     *,
-    known: tuple[FloatArray, FloatArray] | None = None,
+    known: Evaluated | None = None,
     reach: FloatArray | None = None,
     tolerance: float = 1e-10,
     step_tolerance: float = 0.0,
@@ -227,9 +229,8 @@ def minimise(
         Where to start; moved into the bounds.
     bounds : (ndarray, ndarray), optional
         Least and greatest theta, shapes (p,).
-    known : (ndarray, ndarray), optional
-        Residual and Jacobian at the start, where it is within the bounds, if the model has been
-        evaluated there.
+    known : Evaluated, optional
+        What the model has returned for the start, which must be within the bounds.
     reach : ndarray, shape (p,), optional
         The largest change of each parameter in one step. One that hardly matters where the search
         starts has next to no say in the trust region, which shrinks to nothing before such a
