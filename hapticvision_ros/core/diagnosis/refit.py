@@ -585,6 +585,24 @@ class Workbench:
 
         return [left(state) for state in states]
 
+    def leaves_after(
+        self,
+        problem: Problem,
+        states: Sequence[FloatArray],
+        near: Refit,
+        held: Sequence[int],
+    ) -> list[float]:
+        """Return the same after one step of all parameters but those that are held, by place."""
+        problem.set_noise(near.force_noise, near.height_noise, near.jumps)
+
+        def left(state: FloatArray) -> float:
+            residual, jacobian = problem.evaluate(state)
+            if not np.isfinite(residual).all():
+                return math.inf
+            return _promise(residual, np.delete(jacobian, held, axis=1))
+
+        return [left(state) for state in states]
+
     def scale(self, near: Refit) -> Scale:
         """Return what the campaign looks like beside a refit."""
         known = self._scale

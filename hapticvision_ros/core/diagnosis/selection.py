@@ -81,10 +81,8 @@ _KNOWN: Final = 0.15
 """Samples to which the moments of jumps are known, below which that is no matter."""
 BLUNT: Final = 1.0
 """Samples to which moments are known, above which a search is made as if they were known."""
-_SIZES: Final = np.geomspace(0.7, 1.6, 24)
+_IN_TURN: Final = (np.geomspace(0.7, 1.6, 48), np.geomspace(0.97, 1.03, 24))
 """Sizes over a known one that are looked at where a search does not find its way."""
-_IN_TURN: Final = (_SIZES, np.geomspace(0.95, 1.05, 24), np.geomspace(0.98, 1.02, 24))
-"""Those where there are two of them."""
 CERTAIN: Final = 40.0
 """Gain from which on an effect is there that acts in so few samples that `WEAKEST` misses it."""
 _SECONDARY: Final = 0.15
@@ -100,6 +98,8 @@ _MOST: Final = 3
 """Effects that are added at most."""
 _STRIKING: Final = 200.0
 """Gain of a candidate from which on all that change the chain are fitted beside it."""
+_CLOSER: Final = 4
+"""How often sizes that a search does not find its way to are looked at anew."""
 _CONTEST: Final = 3
 """Candidates that are searched for longer: those that may come first."""
 _HOPEFUL: Final = 0.25
@@ -456,14 +456,18 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
             blur=known.blur,
             jumps=known.jumps,
         )
-    starts = [near]
-    if rough or max(known.blur) > BLUNT:
-        starts += _sharper(bench, known, found.effect)
-    best = found.refit
-    for start in starts:
-        again = bench.refit(known.model, start)
-        if again is not None and again.deviance < best.deviance:
-            best = again
+    best, starts = known, [near]
+    for _ in range(_CLOSER):
+        if rough or max(known.blur) > BLUNT:
+            starts += _sharper(bench, known, found.effect)
+        for start in starts:
+            again = bench.refit(known.model, start)
+            if again is not None and again.deviance < best.deviance:
+                best = again
+        if not rough or best.deviance > known.deviance - LEAD:
+            break
+        # Beside what has moved with it another size may be better.
+        known, starts = best, []
     if best is found.refit:
         return found
     return _trialled(bench, without, found.effect, best)
@@ -474,17 +478,20 @@ def _sharper(bench: Workbench, known: Refit, effect: str) -> list[Refit]:
     Return starts for a refit whose moments are not known well, as if they were.
 
     A jump that may come at any time has no say in how large it is. Where a search does not find
-    its way to a size, others near it are looked at, the best by what they leave.
+    its way to a size, others near it are looked at, the best by what they leave once everything
+    else has moved by a step.
     """
-    jumps = known.problem.unsure(known.state, SHARPEST)
-    sharp = replace(known, blur=SHARPEST, jumps=jumps)
-    starts = [sharp]
+    starts = []
+    if max(known.blur) > BLUNT:
+        jumps = known.problem.unsure(known.state, SHARPEST)
+        known = replace(known, blur=SHARPEST, jumps=jumps)
+        starts.append(known)
     rough = [p.symbol for p in BY_NAME[effect].parameters if len(p.scan) > _ROUGH]
     if rough:
         problem = Problem(known.model, known.problem.trials, known.problem.scatter)
         state = known.state
         # What two of them do together is looked at in turn, and then more finely.
-        for sizes, symbol in product((_SIZES,) if len(rough) == 1 else _IN_TURN, rough):
+        for sizes, symbol in product(_IN_TURN, rough):
             values = known.model.values(state[: problem.p])
             place = known.model.names.index(symbol)
             others = []
@@ -493,9 +500,10 @@ def _sharper(bench: Workbench, known: Refit, effect: str) -> list[Refit]:
                 other = state.copy()
                 other[: values.size] = known.model.theta(values)
                 others.append(other)
-            state = others[int(np.argmin(bench.leaves(problem, others, sharp)))]
-        jumps = problem.unsure(state, SHARPEST)
-        starts.append(replace(known, state=state, blur=SHARPEST, jumps=jumps))
+            held = [known.model.names.index(name) for name in rough]
+            state = others[int(np.argmin(bench.leaves_after(problem, others, known, held)))]
+        jumps = problem.unsure(state, known.blur)
+        starts.append(replace(known, state=state, jumps=jumps))
     return starts
 
 

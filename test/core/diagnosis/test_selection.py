@@ -448,17 +448,15 @@ def test_a_pull_that_comes_slowly_is_found_at_whatever_noise_makes_it_look_like(
         pushes=tuple(replace(push, release_speed=0.001) for push in campaign.pushes),
         sensors=replace(campaign.sensors, force_noise=ForceNoise(0.0, 0.09, 0.03)),
     )
-    gains, pulls = [], []
-    # Each search may end beside the best: the middle one of five does not.
-    for seed in range(23, 28):
+    # A little more or less of it lets go a sample later or sooner, and all else moves with that.
+    for seed in range(23, 26):
         bench, base = world.measure(campaign, Undeclared('adhesion', (0.4,)), seed=seed).bench()
         assert bench.scale(base).pull > 0.45
         (found,) = try_all(bench, base, ['adhesion'])
         assert found.refit is not None
-        gains.append(found.gain)
-        pulls.append(found.refit.model.values(found.refit.theta)[3])
-    assert np.median(gains) > 300.0
-    assert np.median(pulls) == pytest.approx(0.4, rel=0.1)
+        assert found.gain > 300.0
+        pull = found.refit.model.values(found.refit.theta)[3]
+        assert pull == pytest.approx(0.4, rel=0.1)
 
 
 def test_a_pull_that_lets_go_several_times_is_found(world: Any) -> None:
