@@ -211,6 +211,9 @@ class Look:
     promise: float
 
 
+type _Rows = tuple[list[tuple[FloatArray, FloatArray]], list[tuple[Whitener, Whitener | None]]]
+
+
 class Workbench:
     """
     One campaign, to which models are refitted.
@@ -236,6 +239,7 @@ class Workbench:
         self.scatter = scatter
         self.memory = longest_memory(trials) if memory is None else memory
         self._scale: tuple[Refit, Scale] | None = None
+        self._known: tuple[Refit, _Rows] | None = None
         self.samples_of = tuple(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -375,7 +379,7 @@ class Workbench:
 
         """
         problem = found.problem
-        rows = [problem.records(found.state, index) for index in range(len(self.trials))]
+        rows, whiteners = self._beside(found)
         force_noise, height_noise = found.force_noise, found.height_noise
         deviance = found.deviance - problem.scatter_price(found.state)
         left: list[tuple[FloatArray, FloatArray]] = []
@@ -384,7 +388,7 @@ class Workbench:
                 force_noise, height_noise = self._most_likely(
                     left, force_noise, height_noise, found.jumps
                 )
-            whiteners = self.whiteners(force_noise, height_noise, found.jumps)
+                whiteners = self.whiteners(force_noise, height_noise, found.jumps)
             solution, squares, determinant, count = self._linear(
                 problem, found.state, rows, columns, whiteners
             )
@@ -399,6 +403,16 @@ class Workbench:
                 after - height[-1] for (_, height), (_, after) in zip(rows, left, strict=True)
             ),
         )
+
+    def _beside(self, found: Refit) -> _Rows:
+        """Return residuals and derivatives of a refit, and the filters of its noise."""
+        # Many curves are held against one model.
+        if self._known is None or self._known[0] is not found:
+            problem = found.problem
+            rows = [problem.records(found.state, index) for index in range(len(self.trials))]
+            whiteners = self.whiteners(found.force_noise, found.height_noise, found.jumps)
+            self._known = found, (rows, whiteners)
+        return self._known[1]
 
     def guesses(self, model: Model, near: Refit) -> tuple[Problem, list[FloatArray]]:
         """Return the problem of a model with more effects, and states with these in action."""
