@@ -34,6 +34,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Final
 
+from hapticvision_ros.core import parallel
 from hapticvision_ros.core.diagnosis.bootstrap import trial_noise, TrialNoise
 from hapticvision_ros.core.diagnosis.records import NextTrial
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
@@ -124,6 +125,8 @@ def suggest(
     second: Refit | None,
     phases: Sequence[Segmentation],
     limits: PushLimits | None = None,
+    *,
+    workers: int = 1,
 ) -> NextTrial | None:
     """
     Return the push to make next.
@@ -140,6 +143,8 @@ def suggest(
         Of the trials.
     limits : PushLimits, optional
         What the cell can do; near what has been done by default.
+    workers : int
+        Processors.
 
     Returns
     -------
@@ -154,7 +159,11 @@ def suggest(
     usual = float(np.median([t.t[-1] - t.t[0] for t in bench.trials]))
     if second is None:
         name = _least_known(first)
-        gains = [_sharpening(bench, first, plan, name) for plan in plans]
+
+        def sharpening(plan: _Plan) -> float:
+            return _sharpening(bench, first, plan, name)
+
+        gains = parallel.each(sharpening, plans, workers)
         worth = [
             ((gain - 1.0) / max(plan.duration, usual), gain, plan)
             for gain, plan in zip(gains, plans, strict=True)
@@ -162,7 +171,7 @@ def suggest(
     else:
         worth = [
             (squares / max(plan.duration, usual), math.sqrt(squares), plan)
-            for squares, plan in _apart(bench, first, second, plans, usual)
+            for squares, plan in _apart(bench, first, second, plans, usual, workers)
         ]
     score, gain, best = max(worth, key=lambda each: each[0])
     if score <= 0.0:
@@ -188,7 +197,12 @@ def suggest(
 
 
 def _apart(
-    bench: Workbench, first: Refit, second: Refit, plans: Sequence[_Plan], usual: float
+    bench: Workbench,
+    first: Refit,
+    second: Refit,
+    plans: Sequence[_Plan],
+    usual: float,
+    workers: int,
 ) -> list[tuple[float, _Plan]]:
     """Return some plans with how far two models part: mean square, whichever is the right one."""
     likely = _likely(bench, first, second)
@@ -207,11 +221,11 @@ def _apart(
             found[place] = sum(weight * rival.misses(plans[place]) for weight, rival in rivals)
         return found[place] / max(plans[place].duration, usual)
 
-    promised = [
-        _separation(bench, (first, second), known, plan, likely) / max(plan.duration, usual)
-        for plan in plans
-    ]
-    best = int(np.argmax(promised))
+    def promise(plan: _Plan) -> float:
+        squares = _separation(bench, (first, second), known, plan, likely)
+        return squares / max(plan.duration, usual)
+
+    best = int(np.argmax(list(parallel.each(promise, plans, workers))))
     grid = np.arange(len(plans)).reshape(shape)
     # From there along hold, depth and speed in turn: slopes may mislead by orders of magnitude.
     for axis in (2, 1, 0):

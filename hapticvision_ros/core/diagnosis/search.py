@@ -732,22 +732,26 @@ class _Search:
             other = next(n for n in each.alike if without_law(n) != without_law(each.alike[0]))
             first, second = refits[each.alike[0]], refits[other]
             if first is not None and second is not None:
-                found = suggest(bench, first, second, self.phases, self.limits)
+                found = suggest(
+                    bench, first, second, self.phases, self.limits, workers=self.workers
+                )
                 if found is None:
                     return None
                 reason = found.reason
                 for name in found.separates:
                     reason = reason.replace(name, without_law(name))
                 return replace(found, separates=_named(found.separates), reason=reason)
-        return suggest(bench, chosen, None, self.phases, self.limits)
+        return suggest(bench, chosen, None, self.phases, self.limits, workers=self.workers)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
         """Return all candidates beside the base model."""
-        plain = {
-            each.effect: left_out(bench, base, each.refit, self.groups)
-            for each in first.candidates
-            if each.refit is not None
-        }
+        refits = {each.effect: each.refit for each in first.candidates if each.refit is not None}
+
+        def ratio(refit: Refit) -> float | None:
+            return left_out(bench, base, refit, self.groups)
+
+        ratios = parallel.each(ratio, list(refits.values()), self.workers)
+        plain = dict(zip(refits, ratios, strict=True))
         # Of the laws of an effect the one that gains most stands for it.
         best = {without_law(each.effect): each for each in reversed(first.candidates)}
         return tuple(
