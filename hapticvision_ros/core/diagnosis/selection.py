@@ -481,11 +481,11 @@ def _sharper(bench: Workbench, known: Refit, effect: str) -> list[Refit]:
     its way to a size, others near it are looked at, the best by what they leave once everything
     else has moved by a step.
     """
-    starts = []
+    jumps = known.problem.unsure(known.state, SHARPEST)
+    sharp = replace(known, blur=SHARPEST, jumps=jumps)
+    starts = [sharp]
     if max(known.blur) > BLUNT:
-        jumps = known.problem.unsure(known.state, SHARPEST)
-        known = replace(known, blur=SHARPEST, jumps=jumps)
-        starts.append(known)
+        known = sharp
     rough = [p.symbol for p in BY_NAME[effect].parameters if len(p.scan) > _ROUGH]
     if rough:
         problem = Problem(known.model, known.problem.trials, known.problem.scatter)
