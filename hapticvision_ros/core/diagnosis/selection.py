@@ -99,7 +99,7 @@ _MOST: Final = 3
 _STRIKING: Final = 200.0
 """Gain of a candidate from which on all that change the chain are fitted beside it."""
 _CLOSER: Final = 4
-"""How often sizes that a search does not find its way to are looked at anew."""
+"""How often sizes that a search does not find its way to are looked at."""
 _CONTEST: Final = 3
 """Candidates that are searched for longer: those that may come first."""
 _HOPEFUL: Final = 0.25
@@ -475,7 +475,7 @@ def _closer(bench: Workbench, without: Refit, found: Trialled) -> Trialled:
 
 def _sharper(bench: Workbench, known: Refit, effect: str) -> list[Refit]:
     """
-    Return starts for a refit whose moments are not known well, as if they were.
+    Return starts for a refit: one as if its moments were known, and one of another size.
 
     A jump that may come at any time has no say in how large it is. Where a search does not find
     its way to a size, others near it are looked at, the best by what they leave once everything
