@@ -41,6 +41,7 @@ from hapticvision_ros.core.models.chain import (
     _held,
     _lead,
     _memory_weight,
+    _paces,
     _power,
     _retarded_unit,
     Slot,
@@ -118,9 +119,7 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         fluidity += 1.0 / c1
     for k in range(units):
         fluidity += 1.0 / cu[k]
-    row_k, row_c = np.empty(units + 1), np.empty(units + 1)
-    row_k[0], row_c[0] = k1, c1
-    row_k[1:], row_c[1:] = ku, cu
+    pace, give = _paces(k1, c1, ku, cu)
     leads, leads_h = np.zeros(units + 2), np.zeros(units + 2)
     nothing, nowhere = np.empty((0, units + 1)), np.empty((0, units + 2))
     z, y, x, z_max = state[_Z], state[_Y], state[_X], state[_Z_MAX]
@@ -180,7 +179,16 @@ def _step(d_end, h, q, ku, cu, state):  # type: ignore[no-untyped-def]
         lead = 0.0
         if touching and c0 > 0.0:
             _lead(
-                hs, row_k, row_c, fluidity, nothing, nothing, leads_h[:0], leads, leads_h, nowhere
+                hs,
+                pace,
+                give,
+                nothing,
+                nothing,
+                1.0 / fluidity,
+                leads_h[:0],
+                leads,
+                leads_h,
+                nowhere,
             )
             climb = leads[0] * pull + leads[1] * z
             for k in range(units):

@@ -361,6 +361,19 @@ def _held(gap, more, opening, decay):  # type: ignore[no-untyped-def]
 
 
 @kernel(error_model='numpy')
+def _paces(k1, c1, ku, cu):  # type: ignore[no-untyped-def]
+    """Return k / c and k / c^2 of the first unit and the others, zeros for springs."""
+    pace = np.zeros(ku.size + 1)
+    give = np.zeros(ku.size + 1)
+    for k in range(ku.size + 1):
+        viscosity = c1 if k == 0 else cu[k - 1]
+        if viscosity > 0.0:
+            pace[k] = (k1 if k == 0 else ku[k - 1]) / viscosity
+            give[k] = pace[k] / viscosity
+    return pace, give
+
+
+@kernel(error_model='numpy')
 def _lead(  # type: ignore[no-untyped-def]
     h, pace, give, d_pace, d_give, solidity, d_fluid, lead, lead_h, d_lead
 ):
@@ -369,9 +382,9 @@ def _lead(  # type: ignore[no-untyped-def]
 
     It is (v + sum k z / c) / fluidity for a tool of speed v, and rises as the units yield to it,
     each by no more than it has to: by `lead` times v and the z of the units, all in a row.
-    `lead_h` is its slope in the length of the step, `d_lead` along the directions. Of each unit
-    it takes k / c and k / c^2, which are zero for a spring, and 1 / fluidity, whose relative
-    change along a direction is `-d_fluid`.
+    `lead_h` is its slope in the length of the step, `d_lead` along the directions. Of the units
+    it takes what `_paces` returns, with its derivatives; and 1 / fluidity, whose relative change
+    along a direction is `-d_fluid`.
     """
     directions = d_lead.shape[0]
     d_lead[:, 0] = 0.0
@@ -558,16 +571,13 @@ def _respond(  # type: ignore[no-untyped-def]
     d_fluid = d_fluidity * solidity
 
     # The units of the chain in one row, with the first.
-    row_pace = np.zeros(units + 1)
-    row_give = np.zeros(units + 1)
+    row_pace, row_give = _paces(k1, c1, ku, cu)
     d_row_pace = np.zeros((directions, units + 1))
     d_row_give = np.zeros((directions, units + 1))
     for k in range(units + 1):
         viscosity = c1 if k == 0 else cu[k - 1]
         if viscosity == 0.0:
             continue
-        row_pace[k] = (k1 if k == 0 else ku[k - 1]) / viscosity
-        row_give[k] = row_pace[k] / viscosity
         for j in range(directions):
             d_viscosity = dq[j, _C1] if k == 0 else dcu[j, k - 1]
             change = dq[j, _K1] if k == 0 else dku[j, k - 1]
