@@ -211,7 +211,10 @@ class Look:
     promise: float
 
 
-type _Rows = tuple[list[tuple[FloatArray, FloatArray]], list[tuple[Whitener, Whitener | None]]]
+type _Linear = tuple[
+    list[tuple[FloatArray, FloatArray]], list[tuple[Whitener, Whitener | None]], float
+]
+"""Residuals and derivatives of each trial, the filters of the noise, and the deviance of both."""
 
 
 class Workbench:
@@ -239,7 +242,7 @@ class Workbench:
         self.scatter = scatter
         self.memory = longest_memory(trials) if memory is None else memory
         self._scale: tuple[Refit, Scale] | None = None
-        self._known: tuple[Refit, _Rows] | None = None
+        self._known: tuple[Refit, _Linear] | None = None
         self.samples_of = tuple(
             int(np.count_nonzero(t.force_count)) + t.height_t.size for t in self.trials
         )
@@ -379,9 +382,8 @@ class Workbench:
 
         """
         problem = found.problem
-        rows, whiteners = self._beside(found)
+        rows, whiteners, deviance = self._beside(found)
         force_noise, height_noise = found.force_noise, found.height_noise
-        deviance = found.deviance - problem.scatter_price(found.state)
         left: list[tuple[FloatArray, FloatArray]] = []
         for turn in range(3 if again else 1):
             if turn:
@@ -404,14 +406,15 @@ class Workbench:
             ),
         )
 
-    def _beside(self, found: Refit) -> _Rows:
-        """Return residuals and derivatives of a refit, and the filters of its noise."""
+    def _beside(self, found: Refit) -> _Linear:
+        """Return a refit as a linear model, without the price of its scatter."""
         # Many curves are held against one model.
         if self._known is None or self._known[0] is not found:
             problem = found.problem
             rows = [problem.records(found.state, index) for index in range(len(self.trials))]
             whiteners = self.whiteners(found.force_noise, found.height_noise, found.jumps)
-            self._known = found, (rows, whiteners)
+            deviance = found.deviance - problem.scatter_price(found.state)
+            self._known = found, (rows, whiteners, deviance)
         return self._known[1]
 
     def guesses(self, model: Model, near: Refit) -> tuple[Problem, list[FloatArray]]:

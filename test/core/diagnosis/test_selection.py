@@ -215,7 +215,7 @@ def test_adhesion_that_unsure_moments_hide_is_looked_for_near_by(world: Any) -> 
     sharp, near = _sharper(bench, known, 'adhesion')
     assert sharp.blur == near.blur == SHARPEST
     assert np.array_equal(sharp.state, state)
-    # The sizes that are looked at are 4 % apart: one of them is as good as the best.
+    # One of the sizes that are looked at is as good as the best.
     states = [state, near.state, right.state]
     away, beside, least = bench.leaves(right.problem, states, sharp)
     assert away > least + 10.0

@@ -20,7 +20,9 @@ from dataclasses import replace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.fit import data
 from hapticvision_ros.core.fit.campaign import Fit, fit
+from hapticvision_ros.core.fit.data import arm_of
 from hapticvision_ros.core.fit.held_out import (
     conditions,
     fitted_trials,
@@ -160,6 +162,22 @@ def test_the_parameters_do_not_move_for_an_unseen_trial(campaign: list[Pair], ri
     # Twice the force is missed by about itself: nothing but zero and onset can give way.
     size = float(np.sqrt(np.mean(trial.force.value**2)))
     assert errors.total['force'].rmse > 0.5 * size
+
+
+def test_an_arm_that_is_not_known_is_told_by_the_unseen_trials(
+    campaign: list[Pair], right: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not taken for one that nothing tells."""
+    asked = []
+
+    def asking(trials: Any) -> Any:
+        asked.append(trials)
+        return arm_of(trials)
+
+    monkeypatch.setattr(data, 'arm_of', asking)
+    trained = replace(Trained.of(right, campaign), servo=None)
+    predict_unseen(trained, campaign[:1])
+    assert asked == [campaign[:1]]
 
 
 def test_a_push_after_others_finds_their_damage(campaign: list[Pair], base: Fit) -> None:
