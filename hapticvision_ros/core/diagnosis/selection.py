@@ -49,6 +49,8 @@ GATE: Final = 10.0
 """Gain in Schwarz's criterion from which on an effect is there."""
 LEAD: Final = 10.0
 """Lead in it by which one effect is told from another."""
+_COST: Final = 0.5
+"""Part that counts against a rival of what its parameters cost more than those of the leader."""
 _PAIR: Final = 2
 _THIRD: Final = 0.5
 """Part of what tells an effect from the leader that does so once so many are not told apart."""
@@ -770,7 +772,7 @@ def _within(bench: Workbench, good: Sequence[Trialled], part: float) -> list[Tri
         return [
             each
             for each in good
-            if each.gain > enough
+            if (each.gain if _is_quick(leader.effect) else _at_less_cost(each, leader)) > enough
             or (_is_quick(each.effect) and each.gain > alike and _heights_alike(each, leader))
         ]
     if leader.refit.blur.later > _KNOWN:
@@ -783,6 +785,20 @@ def _within(bench: Workbench, good: Sequence[Trialled], part: float) -> list[Tri
         if each.gain > leader.gain - lead
         or ((each.gain > enough or _seen(each) > seen) and _heights_alike(each, leader))
     ]
+
+
+def _at_less_cost(each: Trialled, leader: Trialled) -> float:
+    """
+    Return the gain of a rival, if what it costs more than the leader counts in part.
+
+    What a parameter costs is for a model that may do without it, and tells two effects of
+    different numbers of parameters apart where the data do not. What has the leader as a limit
+    never leaves more than that, and nothing but the cost tells the two apart.
+    """
+    if leader.effect in BY_NAME[each.effect].limits:
+        return each.gain
+    more = (each.score - each.gain) - (leader.score - leader.gain)
+    return each.gain + (1.0 - _COST) * max(more, 0.0)
 
 
 def _heights_alike(each: Trialled, leader: Trialled) -> bool:

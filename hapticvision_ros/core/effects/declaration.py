@@ -336,6 +336,8 @@ class Effect:
         Whether it is none of the bag contract's: it is looked for where those do not suffice.
     generalises : tuple of str
         Effects that it becomes where it acts within a sample.
+    limits : tuple of str
+        Effects that it comes as near to as one likes, so that it leaves no more than they do.
     nuisance : bool
         Whether each trial finds it for itself in any case, so that no campaign can show it.
     laws : tuple of Effect
@@ -362,6 +364,7 @@ class Effect:
     period: Callable[[Mapping[str, float]], float] | None = None
     extra: bool = False
     generalises: tuple[str, ...] = ()
+    limits: tuple[str, ...] = ()
     nuisance: bool = False
     laws: tuple['Effect', ...] = ()
     misdates: bool = False

@@ -71,4 +71,6 @@ EFFECT = Effect(
     shape=_shape,
     time_constant=lambda values: values['C_3'] / values['K_2'],
     generalises=('series_spring',),
+    # Without flow, two units in series are one in parallel with a spring.
+    limits=('parallel_spring',),
 )

@@ -121,6 +121,20 @@ _GROWTH: Final = 0.02
 """Length of a step over the time since the last event, or until the next."""
 _DIGITS: Final = 2
 """Binary digits of a length of a step in samples, after the first."""
+_MOVED: Final = 0.1
+"""Noise of a step by which its force may differ where an end of it is moved to a tick."""
+_ASIDE: Final = 0.25
+"""Samples by which such an end may be moved."""
+_ABOUT: Final = 4
+"""Samples before and after it that tell how fast the force goes there."""
+_JUMPS: Final = 4.0
+"""Noise beyond which the force jumps from one sample to the next."""
+_PHASE: Final = 64
+"""Samples by which the phase of such a clock is told."""
+_SET_BY: Final = 0.05
+"""Part of what a stamp is off by which a clock of nearly the right interval is set."""
+_LOST: Final = 3
+"""Ends too far aside in a row that have it told anew."""
 _WINDOW: Final = 512
 _WINDOW_EVERY: Final = 8192
 """Samples in a window at the full rate, and from one to the next."""
@@ -938,7 +952,9 @@ def _prepare(
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
     if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
         events += [t for t in path.events if touch < t < edges[-1]]
-        return _with_steps(raw, _steps(edges, np.array(sorted(events)), interval, windows))
+        steps = _steps(edges, np.array(sorted(events)), interval, windows)
+        samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), samples.force))
+        return _with_steps(replace(raw, samples=samples, t=samples.edges), steps)
     return raw.full_rate
 
 
@@ -1232,6 +1248,49 @@ def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def
             since = 0
 
 
+def _on_ticks(
+    edges: FloatArray, steps: NDArray[np.intp], tick: float, force: FloatArray
+) -> FloatArray:
+    """
+    Return edges, those between steps moved to where a regular clock would have them.
+
+    Stamps that are off by a little make every step another length, and all is worked out anew
+    for each. An edge may be anywhere between its two samples as long as the force that the model
+    has in a step is the same to a part of its noise.
+    """
+    moved = edges.copy()
+    noise = _scatter_of(force)
+    if noise > 0.0 and tick > 0.0 and force.size > 2 * _ABOUT:
+        # By how much the force goes on from sample to sample, noise apart; or jumps.
+        change = np.abs(np.diff(force)) - _JUMPS * noise
+        sums = np.add.accumulate(np.concatenate(([0.0], force)))
+        means = (sums[_ABOUT:] - sums[:-_ABOUT]) / _ABOUT
+        slope = (means[_ABOUT:] - means[:-_ABOUT]) / _ABOUT
+        middle = slice(_ABOUT - 1, force.size - _ABOUT)
+        change[middle] = np.maximum(change[middle], np.abs(slope))
+        _move(moved, steps, tick, change, _MOVED * noise)
+    return moved
+
+
+@kernel()
+def _move(edges, steps, tick, change, allowed):  # type: ignore[no-untyped-def]
+    """Move edges to the ticks of a clock, whose phase is told anew where it is lost."""
+    start, since, far = 0, 0.0, _LOST
+    for k in range(1, steps.size - 1):
+        j = steps[k]
+        if far >= _LOST:
+            far, start, stop = 0, j, min(j + _PHASE, edges.size)
+            since = np.median(edges[j:stop] - tick * np.arange(stop - j))
+        place = since + tick * (j - start)
+        aside = np.abs(place - edges[j])
+        far = far + 1 if aside > _ASIDE * tick else 0
+        if far > 0 or not edges[j - 1] < place < edges[j + 1]:
+            continue
+        shorter = min(j - steps[k - 1], steps[k + 1] - j)
+        if change[j - 1] * aside <= allowed * tick * np.sqrt(shorter):
+            edges[j] = place
+
+
 def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:
     """Return a trial in the steps between some edges of its samples."""
     samples = trial.samples
@@ -1351,17 +1410,42 @@ def jitter_of(t: FloatArray) -> float:
     """
     if t.size < _FEWEST_STAMPS:
         return 0.0
-    steps = np.diff(t)
-    tick = float(np.median(steps))
+    tick, steps = _tick(t), np.diff(t)
     if tick <= 0.0:
         return 0.0
     # Some ticks may be missing within a step, whose both ends are off.
     ticks = np.rint(steps / tick)
     within = (ticks > 0.0) & (ticks < _LONG_GAP)
-    tick = float(steps[within].sum() / ticks[within].sum())
-    off = (steps - tick * np.rint(steps / tick))[within]
+    off = (steps - tick * ticks)[within]
     jitter = NORMAL_FROM_MAD * float(np.median(np.abs(off))) / math.sqrt(2.0)
     return jitter if _BY_THE_CLOCK * tick < jitter < _BY_NO_CLOCK * tick else 0.0
+
+
+def _tick(t: FloatArray) -> float:
+    """Return the interval of the clock that stamps are of, some of them missing [s]."""
+    steps = np.diff(t)
+    tick = float(np.median(steps))
+    if tick <= 0.0:
+        return 0.0
+    ticks = np.rint(steps / tick)
+    within = (ticks > 0.0) & (ticks < _LONG_GAP)
+    tick = float(steps[within].sum() / ticks[within].sum())
+    # What one step has too little, if both ends are off, the next has too much.
+    count = _ticks(t, tick)
+    return float(t[-1] - t[0]) / count if count > 0 else tick
+
+
+@kernel()
+def _ticks(t, usual):  # type: ignore[no-untyped-def]
+    """Return after how many ticks of a clock the last of its stamps comes, by one that follows."""
+    total = 0
+    clock = t[0]
+    for i in range(1, t.size):
+        ticks = np.rint((t[i] - clock) / usual)
+        total += int(ticks)
+        clock += ticks * usual
+        clock += _SET_BY * (t[i] - clock)
+    return total
 
 
 def _scatter_of(value: FloatArray) -> float:

@@ -30,6 +30,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     _withdrawal_shown,
     drawn_out,
     fleeting,
+    price,
     seldom,
     select,
     strength,
@@ -377,6 +378,29 @@ def test_beside_another_effect_a_small_part_of_the_gain_tells_nothing_apart(worl
     assert near(alone, 5000.0, 4960.0) == 1
     assert near(beside, 5000.0, 4960.0) == 2
     assert near(beside, 5000.0, 4940.0) == 1
+
+
+def test_what_a_parameter_costs_sets_a_rival_aside_by_half(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2], rate=500.0), seed=1).bench()
+    refit = bench.refit(Model(('springpot',)), base)
+
+    def near(leader: str, rival: str, behind: float) -> bool:
+        tried = [
+            Trialled(name, score, score - price(bench, name), 1.0, refit)
+            for name, score in ((leader, 500.0), (rival, 500.0 - behind))
+        ]
+        return len(_near(bench, tried)) == 2
+
+    more = price(bench, 'second_retardation') - price(bench, 'springpot')
+    assert 7.0 < more < 10.0
+    assert near('springpot', 'second_retardation', 10.0 - more + 3.0)
+    assert not near('springpot', 'second_retardation', 10.0 - more / 2.0 + 0.1)
+    # Of two that cost the same the deviance is all there is.
+    assert near('springpot', 'parallel_spring', 9.9)
+    assert not near('springpot', 'parallel_spring', 10.1)
+    # A unit more never leaves more than the spring that it becomes: all of its cost tells.
+    assert near('parallel_spring', 'second_retardation', 10.0 - more - 0.1)
+    assert not near('parallel_spring', 'second_retardation', 10.0 - more + 0.1)
 
 
 def test_laws_of_one_effect_are_one_place_of_a_set(world: Any) -> None:

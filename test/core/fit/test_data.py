@@ -21,6 +21,7 @@ from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _bend,
     _goes_by_ramps,
+    _on_ticks,
     deepest_before,
     jitter_of,
     planned,
@@ -920,6 +921,46 @@ def test_a_corner_that_noise_hides_is_where_the_pieces_meet(early: float) -> Non
     off = tool_path(Signal(t, read), phases).at(t) - way
     # The hold is taken to go on by 14 um where its end is taken to be early.
     assert np.abs(off).max() < 3e-6
+
+
+def _other_lengths(edges: np.ndarray, steps: np.ndarray) -> float:
+    """Return the share of steps whose lengths, of as many samples, are not as before them."""
+    samples, lengths = np.diff(steps), np.diff(edges[steps])
+    same = samples[1:] == samples[:-1]
+    return float(np.mean(np.abs(np.diff(lengths))[same] > 1e-9 * lengths[1:][same]))
+
+
+@pytest.mark.parametrize(('jitter', 'most'), [(1e-4, 0.02), (0.05, 0.1)])
+def test_stamps_that_are_off_by_a_little_leave_most_steps_of_one_length(
+    jitter: float, most: float
+) -> None:
+    random = np.random.default_rng(8)
+    stamps = 0.001 * (np.arange(4000) + jitter * random.standard_normal(4000))
+    # A hundred readings are missing, and later the clock is set by a part of a tick.
+    stamps[2500:] += 0.1
+    stamps[3500:] += 0.00037
+    force = 5.0 * np.exp(-stamps) + 0.01 * random.standard_normal(4000)
+    # A jump of 300 times the noise, and a fast rise.
+    force[1500:] += 3.0
+    force[3000:] += np.minimum(0.5 * np.arange(1000), 20.0)
+    middle = 0.5 * (stamps[1:] + stamps[:-1])
+    edges = np.concatenate(([stamps[0] - 0.0005], middle, [stamps[-1] + 0.0005]))
+    steps = np.sort(np.concatenate((np.arange(2000), np.arange(2000, 4001, 5))))
+    assert _other_lengths(edges, steps) > 0.95
+    tick = 0.001
+    moved = _on_ticks(edges, steps, tick, force)
+    assert _other_lengths(moved, steps) < most
+    # Samples stay in their steps, but for such whose stamps are far off themselves.
+    assert np.all(np.diff(moved) > 0.0)
+    aside = np.abs(moved - edges)
+    assert aside.max() <= 0.25 * tick
+    assert not aside[np.setdiff1d(np.arange(4001), steps)].any()
+    # What a step has of the force changes by a part of its noise: where that jumps nothing moves.
+    change = np.abs(np.diff(force))
+    assert np.all(change[[1499, *range(2999, 3039)]] * aside[[1500, *range(3000, 3040)]] < 1.1e-6)
+    # Without noise an edge is where its samples have it.
+    clean = 5.0 * np.exp(-0.001 * np.arange(4000))
+    assert np.abs(_on_ticks(edges, steps, tick, clean) - edges).max() < 0.001 * tick
 
 
 def test_a_clock_is_told_from_its_stamps_and_what_is_missing_of_them() -> None:
