@@ -1263,7 +1263,7 @@ def _on_ticks(
     if noise > 0.0 and tick > 0.0 and force.size > 2 * _ABOUT:
         # By how much the force goes on from sample to sample, noise apart; or jumps.
         change = np.abs(np.diff(force)) - _JUMPS * noise
-        sums = np.add.accumulate(np.concatenate(([0.0], force)))
+        sums = np.cumsum(np.concatenate(([0.0], force)))
         means = (sums[_ABOUT:] - sums[:-_ABOUT]) / _ABOUT
         slope = (means[_ABOUT:] - means[:-_ABOUT]) / _ABOUT
         middle = slice(_ABOUT - 1, force.size - _ABOUT)

@@ -401,6 +401,14 @@ def test_what_a_parameter_costs_sets_a_rival_aside_by_half(world: Any) -> None:
     # A unit more never leaves more than the spring that it becomes: all of its cost tells.
     assert near('parallel_spring', 'second_retardation', 10.0 - more - 0.1)
     assert not near('parallel_spring', 'second_retardation', 10.0 - more + 0.1)
+    # What draws jumps out, for however long, has all who do so as rivals already.
+    lag = bench.refit(Model(('force_lag',)), base)
+    known = dict(zip(lag.model.names, lag.model.values(lag.theta), strict=True))
+    state = lag.state.copy()
+    theta = lag.model.theta(list((known | {'T_f': 20.0 * bench.trials[0].interval}).values()))
+    state[: theta.size] = theta
+    refit = replace(lag, state=state)
+    assert not near('force_lag', 'second_retardation', 10.0 - more + 3.0)
 
 
 def test_laws_of_one_effect_are_one_place_of_a_set(world: Any) -> None:

@@ -22,6 +22,7 @@ from hapticvision_ros.core.fit.data import (
     _bend,
     _goes_by_ramps,
     _on_ticks,
+    _tick,
     deepest_before,
     jitter_of,
     planned,
@@ -961,6 +962,26 @@ def test_stamps_that_are_off_by_a_little_leave_most_steps_of_one_length(
     # Without noise an edge is where its samples have it.
     clean = 5.0 * np.exp(-0.001 * np.arange(4000))
     assert np.abs(_on_ticks(edges, steps, tick, clean) - edges).max() < 0.001 * tick
+
+
+def test_a_trial_whose_stamps_are_off_by_a_little_has_steps_of_one_length() -> None:
+    """So are stamps that were written as a time since 1970 in floating point."""
+    trial = _trial()
+    off = 1e-4 * np.random.default_rng(9).standard_normal(len(trial.force))
+    t = trial.force.t + np.median(np.diff(trial.force.t)) * off
+    noise = 0.01 * np.random.default_rng(10).standard_normal(t.size)
+    (made,), _ = prepare([(replace(trial, force=Signal(t, trial.force.value + noise)), PHASES)])
+    steps = np.searchsorted(made.samples.edges, made.t)
+    assert np.array_equal(made.samples.edges[steps], made.t)
+    assert _other_lengths(made.samples.edges, steps) < 0.1
+
+
+def test_the_interval_of_a_clock_does_not_drift_from_stamps_that_are_far_off() -> None:
+    random = np.random.default_rng(6)
+    ticks = 0.001 * np.flatnonzero(random.uniform(size=50000) > 0.01)
+    late = 0.00015 * random.standard_normal(ticks.size)
+    # Within all of the record a clock with it is off by less than a tick.
+    assert _tick(np.sort(ticks + late)) == pytest.approx(0.001, rel=1e-5)
 
 
 def test_a_clock_is_told_from_its_stamps_and_what_is_missing_of_them() -> None:
