@@ -44,9 +44,8 @@ from scipy.special import chdtri, fdtrc
 
 _WIDE: Final = 0.5
 """Scatter of the logarithms that is allowed when it is measured."""
-_SAME: Final = 0.06
+_SAME: Final = {'push_speed': 0.06, 'depth': 0.06, 'hold_time': 0.2}
 """Relative difference of speed, depth and hold within which two pushes are the same."""
-_SAME_HOLD: Final = 0.2
 _POOLED: Final = 3.0
 """Degrees of freedom that the likeliest common scatter counts for in each element."""
 _TREND: Final = 0.01
@@ -145,15 +144,11 @@ def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
 
 
 def _alike(one: Segmentation, other: Segmentation) -> bool:
-    pairs = [
-        (one.push_speed, other.push_speed, _SAME),
-        (one.depth, other.depth, _SAME),
-        (one.hold_time, other.hold_time, _SAME_HOLD),
-    ]
-    for a, b, reach in pairs:
+    for name, reach in _SAME.items():
+        a, b = getattr(one, name), getattr(other, name)
         if (a is None) != (b is None):
             return False
-        if a is not None and b is not None and abs(a - b) > reach * max(abs(a), abs(b)):
+        if a is not None and abs(a - b) > reach * max(abs(a), abs(b)):
             return False
     return True
 
@@ -217,6 +212,70 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     return Scatter(std, np.maximum(cautious, LEAST), degrees, block)
 
 
+def apart(found: Refit) -> Block | None:
+    """
+    Return the trials that differ from all others, where no push was repeated.
+
+    Parameters
+    ----------
+    found : Refit
+        A model without scatter, fitted to the campaign.
+
+    Returns
+    -------
+    Block or None
+        None where trials scatter, or change steadily, or agree.
+
+    """
+    times = np.array([trial.campaign_time for trial in found.problem.trials])
+    everyone = [list(range(times.size))]
+    factors, variances = _factors(*_shifts(found))
+    block = _block(factors, variances, times, everyone)
+    if block is None:
+        return None
+    late = times - times.mean()
+    centred = factors - factors.mean()
+    rest = centred - late * float(late @ centred) / max(float(late @ late), 1e-300)
+    steady = float(rest @ rest) / max(times.size - 2, 1)
+    return block if block.rest**2 < _CLEARER * steady else None
+
+
+def pushed_apart(
+    phases: Sequence[Segmentation], times: Sequence[float], block: Block
+) -> tuple[str, ...]:
+    """
+    Return in what the pushes of a block differ from all others.
+
+    Parameters
+    ----------
+    phases : sequence of Segmentation
+        Of the trials.
+    times : sequence of float
+        Of the trials, in the campaign [s].
+    block : Block
+        Some of the trials.
+
+    Returns
+    -------
+    tuple of str
+        Such as the speed, where each of them is slower than any other trial; mostly nothing.
+
+    """
+    told = []
+    for name, reach in _SAME.items():
+        sides: tuple[list[float], list[float]] = [], []
+        for phase, time in zip(phases, times, strict=True):
+            size = getattr(phase, name)
+            if size is not None:
+                sides[times[block.first] <= time <= times[block.last]].append(abs(size))
+        if not all(sides):
+            continue
+        less, more = sorted(sides, key=min)
+        if min(more) - max(less) > reach * max(more):
+            told.append(name.replace('_', ' '))
+    return tuple(told)
+
+
 def _common(
     shifts: FloatArray, noises: FloatArray, late: FloatArray, groups: Sequence[Sequence[int]]
 ) -> tuple[float, float]:
@@ -278,7 +337,7 @@ def _withdrawn_alike(found: Refit, groups: Sequence[Sequence[int]]) -> Refit:
     """
     trials = found.problem.trials
     speeds = [[_withdrawal(trials[index]) for index in group] for group in groups]
-    if all(max(each) - min(each) <= _SAME * max(each) for each in speeds):
+    if all(max(each) - min(each) <= _SAME['push_speed'] * max(each) for each in speeds):
         return found
     heads = [
         trial

@@ -40,7 +40,14 @@ from hapticvision_ros.core.diagnosis.records import (
     Unexplained,
 )
 from hapticvision_ros.core.diagnosis.refit import Columns, Refit, Workbench
-from hapticvision_ros.core.diagnosis.scatter import Block, conditions, measure, Scatter
+from hapticvision_ros.core.diagnosis.scatter import (
+    apart,
+    Block,
+    conditions,
+    measure,
+    pushed_apart,
+    Scatter,
+)
 from hapticvision_ros.core.diagnosis.selection import (
     BLUNT,
     drawn_out,
@@ -523,6 +530,8 @@ class _Search:
         changed = None
         if scatter is not None and scatter.block is not None:
             changed = self._changed(bench, base, chosen, scatter.block, unexplained)
+        elif unrepeated is not None:
+            changed = self._changed(bench, base, chosen, None, unexplained)
         if changed is not None:
             status = 'partly_explained' if order else 'unexplained'
             unexplained = changed
@@ -810,24 +819,39 @@ class _Search:
         bench: Workbench,
         base: Refit,
         chosen: Refit,
-        block: Block,
+        repeated: Block | None,
         other: Unexplained | None,
     ) -> Unexplained | None:
-        """Return what is left where some trials differ from all others; None if it is little."""
+        """
+        Return what is left where some trials differ from all others; None if it is little.
+
+        If repeats do not show these, all trials are looked at as if they were of one push.
+        """
         alike = Workbench(bench.trials, None, bench.memory).refit(chosen.model, chosen)
-        left = 0.0 if alike is None else strength(bench, chosen, alike)
+        if alike is None:
+            return None
+        block = apart(alike) if repeated is None else repeated
+        if block is None:
+            return None
+        left = strength(bench, chosen, alike)
         taken = strength(bench, chosen, base) if chosen.model.effects else 0.0
         if left < max(_LEAST_REST, _FORM * taken):
             return None
         share = left**2 / (left**2 + taken**2)
         if other is not None:
             share = max(share, other.share_of_chi2)
+        others, rest = 'repeats of the same push before or after them', 'all others'
+        if repeated is None:
+            others, rest = 'all others', 'those on either side among themselves'
         where = (
             f'{bench.trials[block.first].name} to {bench.trials[block.last].name} differ from '
-            f'repeats of the same push before or after them by {100.0 * block.change:+.2g} % in '
-            f'K1, C1 and C2, all others only by {100.0 * block.rest:.2g} %: what changed between '
-            f'trials is no scatter'
+            f'{others} by {100.0 * block.change:+.2g} % in K1, C1 and C2, {rest} only by '
+            f'{100.0 * block.rest:.2g} %: what changed between trials is no scatter'
         )
+        times = [trial.campaign_time for trial in bench.trials]
+        with_it = pushed_apart(self.phases, times, block) if repeated is None else ()
+        if with_it:
+            where += f', or goes with the {" and the ".join(with_it)}'
         return Unexplained(share, (where, *(() if other is None else other.where)))
 
     def _differing(

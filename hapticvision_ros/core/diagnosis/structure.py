@@ -23,7 +23,7 @@ a curve is described and never added to the model: it would predict nothing.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Final, Literal
 
@@ -34,6 +34,7 @@ from hapticvision_ros.core.outliers import runs
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 _PHASES: Final[tuple[Phase, ...]] = ('push', 'hold', 'release', 'recover')
 _HATS: Final = 5
@@ -132,14 +133,22 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
         Those that gain anything; what gains less than `GATE` may be chance.
 
     """
-    rough = []
+    tried = dict[Curve, tuple[list[Columns], Smooth]]()
     calm = _calm(found)
     for curve in _curves(bench, phases):
         columns = _columns(bench, phases, curve, calm)
         smooth = bench.smooth(found, columns, again=False)
         if smooth.count:
-            gain = smooth.gain - smooth.count * math.log(bench.samples)
-            rough.append((gain, curve, columns))
+            tried[curve] = columns, smooth
+    alike = {
+        curve: _alike(smooth, tried[own][1], len(tried))
+        for curve, (_, smooth) in tried.items()
+        if curve.size != 'own' and (own := replace(curve, size='own')) in tried
+    }
+    rough = []
+    for curve, (columns, smooth) in tried.items():
+        gain = smooth.gain - smooth.count * math.log(bench.samples)
+        rough.append((max(gain, alike.get(curve, gain)), curve, columns))
     rough.sort(key=lambda each: -each[0])
     results = []
     for first, curve, columns in rough[:_LOOKED_CLOSER]:
@@ -147,9 +156,27 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
             break
         smooth = bench.smooth(found, columns, again=True)
         gain = smooth.gain - smooth.count * math.log(bench.samples)
+        gain = max(gain, alike.get(curve, gain))
         if gain > 0.0:
             results.append(_described(bench, found, phases, curve, smooth, gain))
     return tuple(sorted(results, key=lambda each: -each.gain))
+
+
+def _alike(common: Smooth, own: Smooth, curves: int) -> float:
+    """
+    Return what it says against chance that the curves of all trials have one form.
+
+    Slow noise of unknown size takes any curve up, but goes otherwise in each trial: what curves of
+    one form take out, a column, is held against what those of their own take out beyond it, by
+    the ratio of an analysis of variance. Minus twice the logarithm of its chance, for so many
+    curves as were tried, is on the scale of a gain.
+    """
+    free = own.count - common.count
+    if free < 1 or not own.gain > common.gain > 0.0:
+        return 0.0
+    ratio = (common.gain / common.count) / ((own.gain - common.gain) / free)
+    chance = float(fdtrc(common.count, free, ratio)) * curves
+    return -2.0 * math.log(max(chance, 1e-300))
 
 
 def _curves(bench: Workbench, phases: Sequence[Segmentation]) -> Iterator[Curve]:

@@ -24,9 +24,12 @@ from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.scatter import (
     _block,
     _common,
+    apart,
+    Block,
     conditions,
     LEAST,
     measure,
+    pushed_apart,
     Scatter,
 )
 from hapticvision_ros.core.fit.campaign import fit
@@ -285,3 +288,45 @@ def test_a_change_between_two_trials_is_told_from_a_steady_one(
     assert abs(found.block.change) == pytest.approx(0.08, abs=0.01)
     _, found = repeated(Undeclared('ageing', (-1.0,)))
     assert found.block is None
+
+
+MIXED = ((0.004, 0.006), (0.012, 0.004), (0.004, 0.004), (0.012, 0.006), (0.008, 0.005))
+"""Five pushes, none of them twice."""
+
+
+@pytest.mark.parametrize(
+    ('effect', 'scatter', 'seen'),
+    [
+        (Undeclared('gain_step', (0.08,)), 0.0, True),
+        (Undeclared('ageing', (-3.0,)), 0.0, False),
+        (Undeclared('gain_step', (0.0,)), 0.03, False),
+    ],
+)
+def test_without_repeats_what_changed_between_trials_is_told_from_scatter(
+    world: Any, effect: Undeclared, scatter: float, seen: bool
+) -> None:
+    campaign = world.campaign(MIXED, hold=3.0, recover=2.0, rate=100.0, scatter=scatter)
+    found = apart(world.measure(campaign, effect, seed=3).bench()[1])
+    assert (found is not None) == seen
+    if found is not None:
+        # The second half has begun with the fourth.
+        assert (found.first, found.last) == (3, 4)
+        assert found.change == pytest.approx(0.08, abs=0.01)
+        assert found.rest < 0.01
+
+
+def test_in_what_pushes_differ_from_all_others_is_said() -> None:
+    four = [phases(0.004, depth, 10.0) for depth in (0.006, 0.004)]
+    twelve = [phases(0.012, depth, 9.5) for depth in (0.006, 0.004)]
+    times, block = [0.0, 60.0, 120.0, 180.0], Block(0, 1, 0.05, 0.001)
+    assert pushed_apart([*four, *twelve], times, block) == ('push speed',)
+    mixed = [four[0], twelve[1], four[1], twelve[0]]
+    assert pushed_apart(mixed, times, block) == ()
+    # The order of the bags does not matter.
+    turned = pushed_apart(
+        [*twelve, *four], [120.0, 180.0, 0.0, 60.0], replace(block, first=2, last=3)
+    )
+    assert turned == ('push speed',)
+    unknown = [phases(None, 0.006, None), *four[1:], *twelve]
+    assert pushed_apart(unknown, times, block) == ('push speed',)
+    assert pushed_apart([phases(None, None, None)] * 4, times, block) == ()

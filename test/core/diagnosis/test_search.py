@@ -404,6 +404,32 @@ def test_two_effects_do_not_stand_for_the_scatter_of_three_trials(seed: int) -> 
     assert any('cannot be told from an effect' in warning for warning in found.warnings)
 
 
+@pytest.mark.parametrize('seed', [3, 4])
+def test_what_follows_each_push_alike_is_no_slow_noise(world: Any, seed: int) -> None:
+    """A load cell that creeps by 6 % passes for a zero that wanders, trial by trial."""
+    pushes = (*world.four, (0.008, 0.005))
+    creep = Undeclared('cell_creep', (0.06, 3.0))
+    measured = world.measure(world.campaign(pushes, hold=6.0), creep, seed=seed)
+    found = diagnose(measured.pairs)
+    assert found.before.noise.force.wander > 0.0
+    assert found.status == 'unexplained'
+    assert found.unexplained is not None
+    assert found.unexplained.where[0].startswith('force, hold')
+
+
+def test_a_change_between_trials_without_repeats_is_said_and_no_scatter(world: Any) -> None:
+    slow_first = ((0.004, 0.006), (0.004, 0.003), (0.004, 0.0045))
+    campaign = world.campaign(
+        (*slow_first, *((0.012, depth) for _, depth in slow_first)), hold=3.0, recover=2.0
+    )
+    found = diagnose(world.measure(campaign, Undeclared('gain_step', (0.08,)), seed=3).pairs)
+    assert found.status == 'unexplained'
+    assert found.unexplained is not None
+    (where,) = found.unexplained.where
+    assert 'trial_01 to trial_03 differ from all others by -7' in where
+    assert where.endswith('no scatter, or goes with the push speed')
+
+
 def test_an_effect_of_no_library_is_not_taken_for_a_certain_one(case: Any) -> None:
     found = case(PORES, 6).found
     assert found.status != 'none'

@@ -18,7 +18,8 @@
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.structure import GATE, look
+from hapticvision_ros.core.diagnosis.refit import Smooth
+from hapticvision_ros.core.diagnosis.structure import _alike, GATE, look
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import peak_force
@@ -63,3 +64,22 @@ def test_little_is_said_of_a_force_once_the_tool_is_away(
 
     campaign = world.campaign(world.four[:trials], recover=4.0)
     assert bool(away(world.measure(campaign, seed=5, change=humped))) == seen
+
+
+@pytest.mark.parametrize('common', [0.0, 2.5])
+def test_curves_of_one_form_are_told_from_slow_noise_of_unknown_size(common: float) -> None:
+    """Six trials with five corners each: by chance once in a few hundred of so many curves."""
+    random = np.random.default_rng(9)
+    trials, corners, curves = 6, 5, 20
+    gains = []
+    for _ in range(400):
+        # The noise has been taken for three times as large as it is, or for a third.
+        size = np.exp(random.uniform(-1.0, 1.0))
+        sizes = size * (random.standard_normal((trials, corners)) + common)
+        alike = float(trials * np.sum(sizes.mean(axis=0) ** 2))
+        own = float(np.sum(sizes**2))
+        gains.append(
+            _alike(Smooth(alike, corners, (), ()), Smooth(own, trials * corners, (), ()), curves)
+        )
+    seen = np.mean(np.array(gains) > GATE)
+    assert seen > 0.95 if common else seen < 0.01
