@@ -407,13 +407,15 @@ def right(result: dict[str, Any], most: int = 2) -> bool:
     """
     if not result['effects']:
         return bool(result['status'] == 'none')
-    if set(result['effects']) <= set(result['not_testable']):
-        return not result['sets']
     if set(result['effects']) <= set(OUTSIDE):
         return result['status'] in ('unexplained', 'partly_explained')
+    shown = [name for name in names(result) if name not in result['not_testable']]
+    if len(shown) < len(names(result)) and any(
+        not set(each) & set(shown) for each in result['sets']
+    ):
+        return False
     return all(
-        any(name in each and len(each) <= most for each in result['sets'])
-        for name in names(result)
+        any(name in each and len(each) <= most for each in result['sets']) for name in shown
     )
 
 

@@ -58,6 +58,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     Round,
     select,
     strength,
+    worth,
 )
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
 from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
@@ -289,7 +290,7 @@ def _otherwise(
         arms.append(replace(known, stops=True, others=known))
     memory, scatter = before.noise.memory, outcome.scatter
     bench = Workbench(before.problem.trials, scatter, memory)
-    reached = _worth(bench, outcome.chosen)
+    reached = worth(bench, outcome.chosen)
     if rest and not outcome.effects:
         reached -= rest[0].gain
     smaller = list[Refit]()
@@ -329,7 +330,7 @@ def _otherwise(
             for of in zip(*little, strict=True)
         ]
         promised = bench.smooth(without, columns, again=False).gain
-        least = _worth(bench, without)
+        least = worth(bench, without)
         if promised < _PROMISING * (least - reached) and without.blur.later < BLUNT:
             return None
 
@@ -648,7 +649,7 @@ class _Search:
             # Where stamps that are late leave nothing to be named, another law is no other form of
             # an effect, but an effect.
             lead += GATE
-        if _worth(bench, again[0]) < _worth(bench, chosen) - lead:
+        if worth(bench, again[0]) < worth(bench, chosen) - lead:
             return again
         return chosen, rounds, order
 
@@ -883,11 +884,6 @@ def _late(rounds: Sequence[Round], order: Sequence[str]) -> float:
             (place,) = places_of(leader.model, [each.alike[0]])
             return float(leader.model.values(leader.theta)[place])
     return 0.0
-
-
-def _worth(bench: Workbench, refit: Refit) -> float:
-    """Return what a model leaves by Schwarz's criterion, constants apart."""
-    return refit.deviance + sum(price(bench, name) for name in refit.model.effects)
 
 
 def _named(effects: Sequence[str]) -> tuple[str, ...]:

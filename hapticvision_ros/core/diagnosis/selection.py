@@ -98,6 +98,12 @@ _ROUGH: Final = 3
 """Starts above which a parameter is one that a search does not find its way to."""
 _MOST: Final = 3
 """Effects that are added at most."""
+_RIVAL: Final = 0.7
+_NEAR_RIVAL: Final = 0.9
+"""Part of the leader's gain from which on another may come first, if more than one is there, or
+only the leader."""
+_RIVALS: Final = 3
+"""How many do."""
 _STRIKING: Final = 200.0
 """Gain of a candidate from which on all that change the chain are fitted beside it."""
 _CLOSER: Final = 4
@@ -204,6 +210,11 @@ def price(bench: Workbench, effect: str) -> float:
     own = sum(math.log(max(samples, 1)) for samples in bench.samples_of)
     shared = len(declared.parameters) * math.log(bench.samples)
     return shared + len(declared.trial_parameters) * own
+
+
+def worth(bench: Workbench, refit: Refit) -> float:
+    """Return what a model leaves by Schwarz's criterion, constants apart."""
+    return refit.deviance + sum(price(bench, name) for name in refit.model.effects)
 
 
 def changes(bench: Workbench, one: Refit, other: Refit, *, calm: bool = False) -> FloatArray:
@@ -673,6 +684,68 @@ def select(
         How it came to that; the last has accepted nothing unless the most effects are reached.
 
     """
+
+    def forward(first: str | None, known: Sequence[Round]) -> _Path:
+        return _forward(
+            bench,
+            base,
+            names,
+            first=first,
+            workers=workers,
+            progress=progress,
+            known=known,
+            later=later,
+            closely=closely,
+        )
+
+    path = forward(None, known)
+    order = [each.alike[0] for each in path[1] if each.alike]
+    if not order:
+        return path
+    # What comes first by itself need not be part of what is best together. Where all trials have
+    # told the candidates, these are few.
+    begin = replace(path[1][0], alike=())
+    share = _RIVAL if len(order) > 1 or not closely else _NEAR_RIVAL
+    least = share * begin.candidates[0].gain
+    brief = _briefly(bench, begin)
+    rivals = [
+        each.effect
+        for each in begin.candidates
+        if each.refit is not None
+        and each.gain > least
+        and each.effect not in order
+        # What draws jumps out alike leaves the same to others.
+        and not {order[0], each.effect} <= brief
+    ]
+    paths = [path, *(forward(name, (begin,)) for name in rivals[:_RIVALS])]
+    return _best(bench, [each for each in paths if each[1][0].alike])
+
+
+def _briefly(bench: Workbench, first: Round) -> set[str]:
+    """Return the candidates that draw jumps out over a few samples only."""
+    return {
+        each.effect
+        for each in first.candidates
+        if each.refit is not None and _samples(bench, each.refit, each.effect) < _BRIEF
+    }
+
+
+type _Path = tuple[Refit, tuple[Round, ...]]
+
+
+def _forward(
+    bench: Workbench,
+    base: Refit,
+    names: Sequence[str],
+    *,
+    first: str | None,
+    workers: int,
+    progress: Callable[[str], None] | None,
+    known: Sequence[Round],
+    later: Sequence[Sequence[str]],
+    closely: bool,
+) -> _Path:
+    """Return what `select` does, with an effect that comes first whichever leads."""
     current, rounds, strongest = base, list[Round](), Strongest()
     while len(rounds) < _MOST:
         added = [name for more in later[: len(rounds)] for name in more]
@@ -694,7 +767,12 @@ def select(
         )
         tried = tuple(sorted((*before, *tried), key=lambda e: (e.refit is None, -e.gain)))
         good = _good(bench, current, tried, strongest)
-        if good and good[0].refit is not None:
+        if first is not None and not rounds:
+            # Those that gain more stay its rivals.
+            good.sort(key=lambda each: each.effect != first)
+            if not good or good[0].effect != first:
+                return current, (Round(current, tried, ()),)
+        elif good and good[0].refit is not None:
             # What the search for the larger model has found may serve the smaller one as well.
             closer = bench.refit(current.model, good[0].refit)
             if closer is not None and closer.deviance < current.deviance:
@@ -721,6 +799,36 @@ def select(
         )
         current = good[0].refit
     return current, tuple(rounds)
+
+
+def _best(bench: Workbench, paths: Sequence[_Path]) -> _Path:
+    """
+    Return the best of some models, the first of which is that of the leaders.
+
+    Effects whose models are not told from the best are alike, whatever they gain by themselves,
+    and those whose models are, are not. How jumps are drawn out the first round tells as well.
+    """
+    totals = [worth(bench, refit) for refit, _ in paths]
+    orders = [[each.alike[0] for each in rounds if each.alike] for _, rounds in paths]
+    good = [k for k, total in enumerate(totals) if total < min(totals) + LEAD]
+    fewest = min(len(orders[k]) for k in good)
+    # Of those that are not told apart, the simplest.
+    near = [k for k in good if len(orders[k]) == fewest]
+    model, (begin, *others) = paths[min(near, key=lambda k: totals[k])]
+    worse = {orders[k][0] for k in range(len(paths)) if k not in good}
+    if 0 not in good:
+        # What leads, and what stands beside it, may have come in any order.
+        worse |= set(orders[0])
+    worse = worse.difference(*(orders[k] for k in near), _briefly(bench, begin))
+
+    def alike(each: Round, place: int) -> tuple[str, ...]:
+        known = {one.effect for one in each.candidates if one.refit is not None}
+        as_good = dict.fromkeys(orders[k][place] for k in near)
+        return (*each.alike, *(n for n in as_good if n in known and n not in each.alike))
+
+    first = tuple(name for name in alike(begin, 0) if name not in worse)
+    second = [replace(each, alike=alike(each, 1)) for each in others[:1] if each.alike]
+    return model, (replace(begin, alike=first), *second, *others[len(second) :])
 
 
 def _as_quick(

@@ -404,6 +404,24 @@ def test_two_effects_do_not_stand_for_the_scatter_of_three_trials(seed: int) -> 
     assert any('cannot be told from an effect' in warning for warning in found.warnings)
 
 
+@pytest.mark.parametrize(('spring', 'stiffening'), [(120.0, 8e3), (60.0, 2e4)])
+def test_what_comes_first_by_itself_is_not_taken_for_part_of_a_pair(
+    world: Any, spring: float, stiffening: float
+) -> None:
+    """By itself a second retardation gains more than either, and one or both beside it nothing."""
+    effects = [
+        Undeclared('parallel_spring', (spring,)),
+        Undeclared('strain_stiffening', (stiffening,)),
+    ]
+    found = diagnose(world.measure(world.campaign(), *effects, seed=1).pairs)
+    assert found.ranking[0].effect == 'second_retardation'
+    assert found.sets == (('parallel_spring',), ('strain_stiffening',))
+    # So it is without some of the trials.
+    again = choose_again(found, {'trial_01'})
+    assert again is not None
+    assert set(again.model.effects) == {'parallel_spring', 'strain_stiffening'}
+
+
 @pytest.mark.parametrize('seed', [3, 4])
 def test_what_follows_each_push_alike_is_no_slow_noise(world: Any, seed: int) -> None:
     """A load cell that creeps by 6 % passes for a zero that wanders, trial by trial."""

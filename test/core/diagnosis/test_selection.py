@@ -22,6 +22,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import selection
 from hapticvision_ros.core.diagnosis.refit import Look, Refit, Workbench
 from hapticvision_ros.core.diagnosis.selection import (
+    _best,
     _by_place,
     _good,
     _near,
@@ -31,6 +32,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     drawn_out,
     fleeting,
     price,
+    Round,
     seldom,
     select,
     strength,
@@ -60,6 +62,46 @@ def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
     assert chosen.deviance < base.deviance + 1.0
     assert [each.alike for each in rounds] == [()]
     assert all(each.gain < 0.5 * worse for each in rounds[0].candidates)
+
+
+@pytest.fixture
+def best(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return what comes of paths, each told by its effects and its total."""
+    monkeypatch.setattr(selection, 'worth', lambda _, total: total)
+    monkeypatch.setattr(selection, '_samples', lambda _, refit, __: refit)
+    # Two of these draw jumps out over less than a sample.
+    samples = {'a': np.inf, 'b': np.inf, 'c': np.inf, 'd': np.inf, 'lag': 0.5, 'spring': 0.5}
+    tried: Any = tuple(Trialled(name, 50.0, 40.0, 1.0, samples[name]) for name in samples)
+
+    def made(*paths: tuple[float, str], alike: str = '') -> tuple[float, list[tuple[str, ...]]]:
+        listed: Any = []
+        for total, effects in paths:
+            names = effects.split()
+            rounds = [Round(total, tried, (name,)) for name in names]
+            rounds[0] = replace(rounds[0], alike=(names[0], *alike.split()))
+            listed.append((total, (*rounds, Round(total, tried, ()))))
+        total, rounds = _best(None, listed)
+        return total, [each.alike for each in rounds]
+
+    return made
+
+
+def test_what_comes_first_by_itself_gives_way_to_a_better_pair(best: Any) -> None:
+    assert best((100.0, 'a b'), (50.0, 'c d')) == (50.0, [('c',), ('d',), ()])
+    # Also where nothing stood beside the first, or it was alike.
+    assert best((100.0, 'a'), (50.0, 'c d'), alike='a') == (50.0, [('c',), ('d',), ()])
+    assert best((50.0, 'a b'), (100.0, 'c d'), alike='c') == (50.0, [('a',), ('b',), ()])
+    # What draws jumps out is not told from its like by what stands beside it.
+    total, sets = best((50.0, 'lag b'), (100.0, 'spring d'), alike='spring')
+    assert (total, sets) == (50.0, [('lag', 'spring'), ('b',), ()])
+
+
+def test_pairs_that_are_not_told_apart_are_both_said(best: Any) -> None:
+    assert best((55.0, 'a b'), (50.0, 'c d')) == (50.0, [('c', 'a'), ('d', 'b'), ()])
+    assert best((55.0, 'a b'), (50.0, 'c b')) == (50.0, [('c', 'a'), ('b',), ()])
+    # Fewer effects come before more that are no better.
+    assert best((55.0, 'a'), (50.0, 'c d')) == (55.0, [('a',), ()])
+    assert best((55.0, 'a b'), (50.0, 'c')) == (50.0, [('c',), ()])
 
 
 def test_a_sine_that_turns_once_or_twice_is_no_disturbance(world: Any) -> None:
