@@ -475,19 +475,27 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        unrepeated, apart = None, ''
+        unrepeated, differ = None, ''
         if scatter is None or scatter.degrees < _FEW_REPEATS:
-            unrepeated, apart = self._unrepeated(bench, base, chosen, scatter)
+            unrepeated, differ = self._unrepeated(bench, base, chosen, scatter)
         if unrepeated is not None:
             # What takes other laws for scatter must not hide them.
             chosen, rounds, order = self._further(bench, chosen, rounds, order, names)
-            unrepeated, apart = self._unrepeated(bench, base, chosen, scatter)
+            unrepeated, differ = self._unrepeated(bench, base, chosen, scatter)
         if unrepeated is not None:
-            self.warnings.append(apart)
+            self.warnings.append(differ)
+            bench, chosen, rounds, order = self._scattered(plain, unrepeated, usual)
+        at_once = None
+        if scatter is None or scatter.degrees < _FEW_REPEATS:
+            at_once = self._at_once(plain, chosen)
+        if at_once is not None:
+            names, usual = ([n for n in of if without_law(n) != _AGEING] for of in (names, usual))
+            if unrepeated is None:
+                self.warnings.append(self._in_words(at_once, scatter))
+            unrepeated = at_once
+            bench, chosen, rounds, order = self._scattered(plain, at_once, usual)
+        if unrepeated is not None:
             scattered = np.full(3, unrepeated)
-            bench = plain.scattering(scattered)
-            base = bench.base(self.before)
-            chosen, rounds, order = self._select(bench, base, usual)
         self.tell('looking at what is left')
         rest = self._rest(bench, rounds[0].without, chosen, rounds)
         # What only another law shows, such as friction that a tool in the air does not feel, may
@@ -671,8 +679,30 @@ class _Search:
             size = self._scattering(bench, base, chosen.deviance + worth - own + LEAD)
         if size is None:
             return None, ''
+        return size, self._in_words(size, scatter)
+
+    def _scattered(
+        self, plain: Workbench, size: float, names: Sequence[str]
+    ) -> tuple[Workbench, Refit, tuple[Round, ...], tuple[str, ...]]:
+        """Return the bench of trials that scatter by so much, and the choice on it."""
+        bench = plain.scattering(np.full(3, size))
+        return bench, *self._select(bench, bench.base(self.before), names)
+
+    def _at_once(self, plain: Workbench, chosen: Refit) -> float | None:
+        """Return the scatter that stands in for a change between two trials, no ageing, if any."""
+        names = chosen.model.effects
+        others = tuple(name for name in names if without_law(name) != _AGEING)
+        if len(others) == len(names):
+            return None
+        without = plain.refit(Model(others), chosen)
+        if without is None or apart(without) is None:
+            return None
+        return self._scattering(plain, without, math.inf)
+
+    def _in_words(self, size: float, scatter: Scatter | None) -> str:
+        """Return what scatter without enough repeats is warned of with."""
         what = 'without repeats' if scatter is None else 'with so few repeats'
-        return size, (
+        return (
             f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
             f'{100.0 * size:.2g} % from trial to trial: {what} of the same push this '
             f'cannot be told from an effect'

@@ -435,6 +435,23 @@ def test_what_follows_each_push_alike_is_no_slow_noise(world: Any, seed: int) ->
     assert found.unexplained.where[0].startswith('force, hold')
 
 
+@pytest.mark.parametrize('effect', [('gain_step', -0.03), ('ageing', -1.0)])
+def test_what_changed_between_two_trials_is_no_ageing(
+    world: Any, effect: tuple[str, float]
+) -> None:
+    """Both go with time; by three tenths of it all that a gain has changed passes for ageing."""
+    pushes = (*world.four, (0.008, 0.005))
+    name, size = effect
+    campaign = world.campaign(pushes, hold=3.0, recover=2.0)
+    found = diagnose(world.measure(campaign, Undeclared(name, (size,)), seed=3).pairs)
+    if name == 'ageing':
+        assert found.sets == (('ageing',),)
+        return
+    assert (found.status, found.effects) == ('unexplained', ())
+    assert found.unexplained is not None
+    assert 'trial_04 to trial_05 differ from all others by -3' in found.unexplained.where[0]
+
+
 def test_a_change_between_trials_without_repeats_is_said_and_no_scatter(world: Any) -> None:
     slow_first = ((0.004, 0.006), (0.004, 0.003), (0.004, 0.0045))
     campaign = world.campaign(
