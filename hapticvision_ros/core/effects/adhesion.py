@@ -40,6 +40,11 @@ _FADING: Final = (0.6, 0.8, 1.0, 1.25)
 """Those of a zone whose pull fades as it opens."""
 _OPENINGS: Final = (0.5, 0.8, 0.93, 1.0, 1.07, 1.25, 2.0)
 """Openings of it that are tried, over the one that is seen."""
+_WIDEST: Final = 1.0
+"""
+Opening [m] beyond which no tool goes: a search that finds a pull which does not fade is not led
+astray by how little more the trials say.
+"""
 
 
 def _shape(draft: Draft, values: Sequence[complex], trial: DrivenTrial) -> None:
@@ -115,7 +120,7 @@ EFFECT = replace(
                     'm',
                     'opening between tool and surface at which the pull ends',
                     0.0,
-                    math.inf,
+                    _WIDEST,
                     lambda scale: scale.opening or 0.05 * scale.depth,
                     scan=_OPENINGS,
                 ),
@@ -145,7 +150,7 @@ EFFECT = replace(
                     'm',
                     'opening between tool and surface over which the pull falls to 1/e',
                     0.0,
-                    math.inf,
+                    _WIDEST,
                     lambda scale: scale.opening or 0.05 * scale.depth,
                     scan=_OPENINGS,
                 ),

@@ -133,8 +133,16 @@ _PHASE: Final = 64
 """Samples by which the phase of such a clock is told."""
 _SET_BY: Final = 0.05
 """Part of what a stamp is off by which a clock of nearly the right interval is set."""
-_LOST: Final = 3
-"""Ends too far aside in a row that have it told anew."""
+_OTHER_PHASE: Final = 5.0
+"""Median deviations, of the mean of so many, by which it is another phase."""
+_STRAY: Final = 8.0
+"""Median deviations by which an edge is off that is none of the clock's."""
+_REGULAR: Final = 1e-9
+"""Part of an interval within which stamps are regular by themselves."""
+_FRACTION: Final = 6.0
+_TO_THE_TICK: Final = 1e-6
+"""Deviations of a step from whole ticks, and part of a tick, above which the clock has stood still
+or was set."""
 _WINDOW: Final = 512
 _WINDOW_EVERY: Final = 8192
 """Samples in a window at the full rate, and from one to the next."""
@@ -953,7 +961,9 @@ def _prepare(
     if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
         events += [t for t in path.events if touch < t < edges[-1]]
         steps = _steps(edges, np.array(sorted(events)), interval, windows)
-        samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), samples.force))
+        told = np.flatnonzero(samples.good)
+        read = np.interp(np.arange(samples.force.size), told, samples.force[told])
+        samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), read))
         return _with_steps(replace(raw, samples=samples, t=samples.edges), steps)
     return raw.full_rate
 
@@ -1255,8 +1265,8 @@ def _on_ticks(
     Return edges, those between steps moved to where a regular clock would have them.
 
     Stamps that are off by a little make every step another length, and all is worked out anew
-    for each. An edge may be anywhere between its two samples as long as the force that the model
-    has in a step is the same to a part of its noise.
+    for each. An edge may be moved as long as the force that the model has in a step is the same
+    to a part of its noise, and all of them together by no more than their phase is known.
     """
     moved = edges.copy()
     noise = _scatter_of(force)
@@ -1268,27 +1278,33 @@ def _on_ticks(
         slope = (means[_ABOUT:] - means[:-_ABOUT]) / _ABOUT
         middle = slice(_ABOUT - 1, force.size - _ABOUT)
         change[middle] = np.maximum(change[middle], np.abs(slope))
-        _move(moved, steps, tick, change, _MOVED * noise)
+        _move(edges, moved, steps, tick, change, _MOVED * noise)
     return moved
 
 
 @kernel()
-def _move(edges, steps, tick, change, allowed):  # type: ignore[no-untyped-def]
-    """Move edges to the ticks of a clock, whose phase is told anew where it is lost."""
-    start, since, far = 0, 0.0, _LOST
+def _move(edges, moved, steps, tick, change, allowed):  # type: ignore[no-untyped-def]
+    """Move edges to the ticks of a clock, whose phase is told anew where it is another."""
+    since, stop = edges[0], 0
     for k in range(1, steps.size - 1):
         j = steps[k]
-        if far >= _LOST:
-            far, start, stop = 0, j, min(j + _PHASE, edges.size)
-            since = np.median(edges[j:stop] - tick * np.arange(stop - j))
-        place = since + tick * (j - start)
+        if j >= stop:
+            begin, stop = j, min(j + _PHASE, edges.size)
+            off = edges[begin:stop] - since - tick * np.arange(begin, stop)
+            middle = np.median(off)
+            spread = np.median(np.abs(off - middle))
+            unsure = spread / np.sqrt(stop - begin)
+            if begin == steps[1] or np.abs(middle) > _OTHER_PHASE * unsure:
+                since += middle
+        if np.abs(edges[j + 1] - 2.0 * edges[j] + edges[j - 1]) < _REGULAR * tick:
+            continue
+        place = since + tick * j
         aside = np.abs(place - edges[j])
-        far = far + 1 if aside > _ASIDE * tick else 0
-        if far > 0 or not edges[j - 1] < place < edges[j + 1]:
+        if aside > min(_ASIDE * tick, _STRAY * spread) or not moved[j - 1] < place < edges[j + 1]:
             continue
         shorter = min(j - steps[k - 1], steps[k + 1] - j)
         if change[j - 1] * aside <= allowed * tick * np.sqrt(shorter):
-            edges[j] = place
+            moved[j] = place
 
 
 def _with_steps(trial: FitTrial, steps: NDArray[np.intp]) -> FitTrial:
@@ -1431,21 +1447,30 @@ def _tick(t: FloatArray) -> float:
     within = (ticks > 0.0) & (ticks < _LONG_GAP)
     tick = float(steps[within].sum() / ticks[within].sum())
     # What one step has too little, if both ends are off, the next has too much.
-    count = _ticks(t, tick)
-    return float(t[-1] - t[0]) / count if count > 0 else tick
+    off = np.abs(steps - tick * ticks)[within]
+    limit = max(_FRACTION * NORMAL_FROM_MAD * float(np.median(off)), _TO_THE_TICK * tick)
+    count, time = _ticks(t, tick, limit)
+    return float(time) / count if count > 0 else tick
 
 
 @kernel()
-def _ticks(t, usual):  # type: ignore[no-untyped-def]
-    """Return after how many ticks of a clock the last of its stamps comes, by one that follows."""
-    total = 0
+def _ticks(t, usual, limit):  # type: ignore[no-untyped-def]
+    """Return how many ticks of a clock its stamps take, and how long, by one that follows."""
+    total, time = 0, 0.0
     clock = t[0]
     for i in range(1, t.size):
         ticks = np.rint((t[i] - clock) / usual)
+        step = t[i] - t[i - 1]
+        whole = np.rint(step / usual)
+        if whole >= _LONG_GAP or np.abs(step - usual * whole) > limit:
+            # The part of a tick in a pause is no error of the clock.
+            clock = t[i]
+            continue
         total += int(ticks)
+        time += step
         clock += ticks * usual
         clock += _SET_BY * (t[i] - clock)
-    return total
+    return total, time
 
 
 def _scatter_of(value: FloatArray) -> float:

@@ -440,6 +440,10 @@ def test_what_a_parameter_costs_sets_a_rival_aside_by_half(world: Any) -> None:
     # Of two that cost the same the deviance is all there is.
     assert near('springpot', 'parallel_spring', 9.9)
     assert not near('springpot', 'parallel_spring', 10.1)
+    # What costs less than the leader has no more of it counted.
+    less = price(bench, 'periodic_disturbance') - price(bench, 'springpot')
+    assert near('periodic_disturbance', 'springpot', 10.0 + less - 0.1)
+    assert not near('periodic_disturbance', 'springpot', 10.0 + less + 0.1)
     # A unit more never leaves more than the spring that it becomes: all of its cost tells.
     assert near('parallel_spring', 'second_retardation', 10.0 - more - 0.1)
     assert not near('parallel_spring', 'second_retardation', 10.0 - more + 0.1)

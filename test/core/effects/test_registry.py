@@ -140,6 +140,15 @@ def test_a_first_guess_is_within_its_bounds(effect: Effect, scale: Scale) -> Non
         assert not parameter.log or parameter.lower > 0.0
 
 
+@pytest.mark.parametrize(
+    ('law', 'symbol'), [('adhesion:cohesive_zone', 'delta_c'), ('adhesion:fading_zone', 'delta_e')]
+)
+def test_a_pull_that_does_not_fade_does_not_lead_a_search_astray(law: str, symbol: str) -> None:
+    """Beside friction a search has gone to an opening of 1e158 m, whose squares overflow."""
+    (opening,) = (each for each in BY_NAME[law].parameters if each.symbol == symbol)
+    assert opening.upper == 1.0
+
+
 @every
 def test_at_zero_strength_the_model_is_the_base_model(
     effect: Effect, scale: Scale, driven: Callable

@@ -15,6 +15,7 @@
 """The steps of a trial and the tool's path through its encoders' noise."""
 
 from dataclasses import replace
+import math
 
 from hapticvision_ros.core.fit.bend import Bend, Shape
 from hapticvision_ros.core.fit.campaign import fit
@@ -956,12 +957,47 @@ def test_stamps_that_are_off_by_a_little_leave_most_steps_of_one_length(
     aside = np.abs(moved - edges)
     assert aside.max() <= 0.25 * tick
     assert not aside[np.setdiff1d(np.arange(4001), steps)].any()
-    # What a step has of the force changes by a part of its noise: where that jumps nothing moves.
-    change = np.abs(np.diff(force))
-    assert np.all(change[[1499, *range(2999, 3039)]] * aside[[1500, *range(3000, 3040)]] < 1.1e-6)
+    # What a step has of the force changes by a tenth of its noise, which is less in steps of five
+    # samples: where the force jumps nothing moves.
+    change = np.abs(np.diff(force)) * aside[1:-1] / (0.1 * 0.01 * tick)
+    assert change[1499] < 1.1
+    assert np.all(change[2999:3039] < 1.1 * math.sqrt(5.0))
     # Without noise an edge is where its samples have it.
     clean = 5.0 * np.exp(-0.001 * np.arange(4000))
     assert np.abs(_on_ticks(edges, steps, tick, clean) - edges).max() < 0.001 * tick
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.05])
+def test_a_clock_that_has_stood_still_moves_no_edges_all_to_one_side(jitter: float) -> None:
+    """A pause of 100.2 ticks in the air puts all that follows a fifth of a tick aside."""
+    random = np.random.default_rng(11)
+    stamps = 0.001 * (np.arange(20000) + jitter * random.standard_normal(20000))
+    stamps[500:] += 0.0002
+    edges = np.concatenate(
+        ([stamps[0] - 0.0005], 0.5 * (stamps[1:] + stamps[:-1]), [stamps[-1] + 0.0005])
+    )
+    force = 5.0 * np.exp(-stamps) + 0.01 * random.standard_normal(stamps.size)
+    for steps in (np.arange(20001), np.arange(0, 20001, 16)):
+        moved = (_on_ticks(edges, steps, _tick(stamps), force) - edges)[steps]
+        if jitter == 0.0:
+            assert np.abs(moved).max() < 1e-9
+        else:
+            # A phase is known to an eighth of what 64 edges are off.
+            assert abs(moved[np.flatnonzero(steps > 600)].mean()) < 0.125 * jitter * 0.001
+            assert np.abs(moved).max() > 0.5 * jitter * 0.001
+
+
+def test_two_rates_in_a_record_of_exact_stamps_stay_as_they_are() -> None:
+    stamps = np.cumsum(np.concatenate((np.full(3000, 1e-3), np.full(3000, 0.99e-3))))
+    edges = np.concatenate(
+        ([stamps[0] - 0.0005], 0.5 * (stamps[1:] + stamps[:-1]), [stamps[-1] + 0.0005])
+    )
+    force = 0.01 * np.random.default_rng(12).standard_normal(stamps.size)
+    steps = np.arange(edges.size)
+    moved = _on_ticks(edges, steps, _tick(stamps), force)
+    assert _other_lengths(edges, steps) < 0.001
+    # Where one rate ends, and the record, an edge is like none.
+    assert np.count_nonzero(moved != edges) <= 4
 
 
 def test_a_trial_whose_stamps_are_off_by_a_little_has_steps_of_one_length() -> None:
@@ -982,6 +1018,12 @@ def test_the_interval_of_a_clock_does_not_drift_from_stamps_that_are_far_off() -
     late = 0.00015 * random.standard_normal(ticks.size)
     # Within all of the record a clock with it is off by less than a tick.
     assert _tick(np.sort(ticks + late)) == pytest.approx(0.001, rel=1e-5)
+    # Nor from the parts of a tick of pauses.
+    for off in (0.0, 0.05):
+        stamps = ticks + off * 0.001 * random.standard_normal(ticks.size)
+        for at in range(100, ticks.size, 2500):
+            stamps[at:] += 0.1004
+        assert _tick(np.sort(stamps)) == pytest.approx(0.001, rel=1e-6 if off == 0.0 else 2e-5)
 
 
 def test_a_clock_is_told_from_its_stamps_and_what_is_missing_of_them() -> None:
@@ -992,6 +1034,8 @@ def test_a_clock_is_told_from_its_stamps_and_what_is_missing_of_them() -> None:
     for kept in (np.ones(ticks.size, dtype=np.bool_), some):
         assert jitter_of(ticks[kept]) == 0.0
         assert jitter_of((ticks + late)[kept]) == pytest.approx(0.003, rel=0.15)
+    # A pause of a part of a tick is no jitter.
+    assert jitter_of(np.concatenate((ticks[:30], ticks[30:60] + 0.31))) == 0.0
     # Events have no clock, and a few stamps tell none.
     assert jitter_of(np.cumsum(random.exponential(0.03, 400))) == 0.0
     assert jitter_of((ticks + late)[:7]) == 0.0
