@@ -828,7 +828,8 @@ def _best(bench: Workbench, paths: Sequence[_Path]) -> _Path:
 
     first = tuple(name for name in alike(begin, 0) if name not in worse)
     second = [replace(each, alike=alike(each, 1)) for each in others[:1] if each.alike]
-    return model, (replace(begin, alike=first), *second, *others[len(second) :])
+    later = others[1:] if second else others
+    return model, (replace(begin, alike=first), *second, *later)
 
 
 def _as_quick(
