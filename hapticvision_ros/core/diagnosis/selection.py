@@ -713,7 +713,7 @@ def select(
         for each in begin.candidates
         if each.refit is not None
         and each.gain > least
-        and each.effect not in order
+        and each.effect != order[0]
         # What draws jumps out alike leaves the same to others.
         and not {order[0], each.effect} <= brief
     ]
@@ -808,28 +808,36 @@ def _best(bench: Workbench, paths: Sequence[_Path]) -> _Path:
     Effects whose models are not told from the best are alike, whatever they gain by themselves,
     and those whose models are, are not. How jumps are drawn out the first round tells as well.
     """
-    totals = [worth(bench, refit) for refit, _ in paths]
+    # Of several that have come to the same effects, one after another, the best.
+    ways = dict[frozenset[str], tuple[float, _Path]]()
+    for path in paths:
+        effects, total = frozenset(path[0].model.effects), worth(bench, path[0])
+        if effects not in ways or total < ways[effects][0]:
+            ways[effects] = total, path
+    totals, paths = zip(*ways.values(), strict=True)
     orders = [[each.alike[0] for each in rounds if each.alike] for _, rounds in paths]
     good = [k for k, total in enumerate(totals) if total < min(totals) + LEAD]
     fewest = min(len(orders[k]) for k in good)
     # Of those that are not told apart, the simplest.
     near = [k for k in good if len(orders[k]) == fewest]
-    model, (begin, *others) = paths[min(near, key=lambda k: totals[k])]
-    worse = {orders[k][0] for k in range(len(paths)) if k not in good}
-    if 0 not in good:
-        # What leads, and what stands beside it, may have come in any order.
-        worse |= set(orders[0])
-    worse = worse.difference(*(orders[k] for k in near), _briefly(bench, begin))
-
-    def alike(each: Round, place: int) -> tuple[str, ...]:
-        known = {one.effect for one in each.candidates if one.refit is not None}
-        as_good = dict.fromkeys(orders[k][place] for k in near)
-        return (*each.alike, *(n for n in as_good if n in known and n not in each.alike))
-
-    first = tuple(name for name in alike(begin, 0) if name not in worse)
-    second = [replace(each, alike=alike(each, 1)) for each in others[:1] if each.alike]
-    later = others[1:] if second else others
-    return model, (replace(begin, alike=first), *second, *later)
+    best = min(near, key=lambda k: totals[k])
+    order, (model, rounds) = orders[best], paths[best]
+    rivals: list[list[str]] = [[] for _ in order]
+    for k in near:
+        # What both have is no rival of what only one of them has.
+        places = [place for place, name in enumerate(order) if name not in orders[k]]
+        for place, name in zip(places, [n for n in orders[k] if n not in order], strict=True):
+            rivals[place].append(name)
+    others = {orders[k][0] for k in range(len(paths)) if k not in good or k in near}
+    brief = _briefly(bench, rounds[0])
+    others = others.difference(rivals[0], order[:1], brief if order[0] in brief else ())
+    told = [replace(rounds[0], alike=tuple(n for n in rounds[0].alike if n not in others))]
+    told += rounds[1:]
+    for place, names in enumerate(rivals):
+        known = {one.effect for one in told[place].candidates if one.refit is not None}
+        alike = dict.fromkeys((*told[place].alike, *(n for n in names if n in known)))
+        told[place] = replace(told[place], alike=tuple(alike))
+    return model, tuple(told)
 
 
 def _as_quick(

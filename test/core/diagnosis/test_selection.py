@@ -16,6 +16,7 @@
 """Which effects are accepted."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
@@ -67,7 +68,7 @@ def test_what_only_a_longer_search_gains_is_no_effect(world: Any) -> None:
 @pytest.fixture
 def best(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return what comes of paths, each told by its effects and its total."""
-    monkeypatch.setattr(selection, 'worth', lambda _, total: total)
+    monkeypatch.setattr(selection, 'worth', lambda _, refit: refit.total)
     monkeypatch.setattr(selection, '_samples', lambda _, refit, __: refit)
     # Two of these draw jumps out over less than a sample.
     samples = {'a': np.inf, 'b': np.inf, 'c': np.inf, 'd': np.inf, 'lag': 0.5, 'spring': 0.5}
@@ -77,11 +78,12 @@ def best(monkeypatch: pytest.MonkeyPatch) -> Any:
         listed: Any = []
         for total, effects in paths:
             names = effects.split()
-            rounds = [Round(total, tried, (name,)) for name in names]
+            rounds: Any = [Round(None, tried, (name,)) for name in names]
             rounds[0] = replace(rounds[0], alike=(names[0], *alike.split()))
-            listed.append((total, (*rounds, Round(total, tried, ()))))
-        total, rounds = _best(None, listed)
-        return total, [each.alike for each in rounds]
+            refit = SimpleNamespace(total=total, model=SimpleNamespace(effects=names))
+            listed.append((refit, (*rounds, Round(refit, tried, ()))))
+        chosen, rounds = _best(None, listed)
+        return chosen.total, [each.alike for each in rounds]
 
     return made
 
@@ -99,6 +101,10 @@ def test_what_comes_first_by_itself_gives_way_to_a_better_pair(best: Any) -> Non
 def test_pairs_that_are_not_told_apart_are_both_said(best: Any) -> None:
     assert best((55.0, 'a b'), (50.0, 'c d')) == (50.0, [('c', 'a'), ('d', 'b'), ()])
     assert best((55.0, 'a b'), (50.0, 'c b')) == (50.0, [('c', 'a'), ('b',), ()])
+    # The same two in another order are the same: what gains more by it is no other pair.
+    assert best((50.0, 'a b'), (49.0, 'b a'), (80.0, 'c d')) == (49.0, [('b',), ('a',), ()])
+    # What both have is no rival of what only one has, whatever came first in it.
+    assert best((50.0, 'a b'), (55.0, 'c a'), alike='c') == (50.0, [('a',), ('b', 'c'), ()])
     # Fewer effects come before more that are no better.
     assert best((55.0, 'a'), (50.0, 'c d')) == (55.0, [('a',), ()])
     assert best((55.0, 'a b'), (50.0, 'c')) == (50.0, [('c',), ()])
