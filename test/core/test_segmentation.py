@@ -600,6 +600,7 @@ class Slow:
     bias: float = 0.0
     mass: float = 0.0
     step: float = 0.0
+    early: float = 0.0
     seed: int = 0
 
     touch: float = 12.0
@@ -621,6 +622,9 @@ class Slow:
         force += 100.0 * self.force_noise * random.standard_normal(t.size)
         force += 100.0 * self.hum * np.sin(2.0 * np.pi * 8.1 * t)
         force += 100.0 * self.step * (self.way(t) > 0.0)
+        # The sample in which the tool touches is a mean.
+        touching = (self.way(t) <= 0.0) & (self.way(t + 0.004) > 0.0)
+        force += 100.0 * self.step * self.early * touching
         force += self.mass * 0.01 * ((t > 2.0) & (t < 2.1))
         tt = np.arange(0.0, 30.0, 0.008)
         th = np.arange(0.0, 30.0, 0.0167)
@@ -658,6 +662,13 @@ def test_a_range_sensor_that_is_off_moves_no_touch_that_the_force_shows(range_se
     sharp = Slow(power=1.0, **range_sensor)
     assert sharp.off(seen=True) == sharp.off(seen=False)
     assert abs(sharp.off(seen=True)) < 5e-5
+
+
+@pytest.mark.parametrize('bias', [1e-4, 3e-4, 1e-3])
+def test_a_force_that_jumps_at_the_touch_has_not_set_in_before(bias) -> None:
+    """The sample of the jump is no force in the air, whatever the range sensor says."""
+    jumps = Slow(power=1.0, step=0.8, early=0.4, bias=bias, force_noise=0.002)
+    assert abs(jumps.off(seen=True)) < 5e-6
 
 
 @pytest.mark.parametrize('seen', [True, False])

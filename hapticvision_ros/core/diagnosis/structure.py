@@ -216,6 +216,12 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
             start = int(np.searchsorted(trial.t[1:], trial.t[first] - reach))
             stop = int(np.searchsorted(trial.t[:-1], trial.t[last] + reach))
             near[start:stop] = True
+        for bend in trial.path.bends:
+            # Nor, as a flow feels it, how a tool that withdraws gathers its speed, which an object
+            # that has relaxed does not outlast.
+            if trial.t_release is not None and bend.start - reach < trial.t_release < bend.stop:
+                start = int(np.searchsorted(trial.t[1:], bend.start - reach))
+                near[start : int(np.searchsorted(trial.t[:-1], bend.stop + reach))] = True
         calm.append(~near)
     return calm
 

@@ -48,6 +48,8 @@ _CALM = 16
 """Samples without force in a row that are no chance."""
 _STARTS = 0.5
 """Speed of the tool over that after it, below which it speeds up."""
+_AT_THE_TOUCH = 2
+"""Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
 """Standard errors within which two levels are the same."""
 _OF_MEDIAN = 1.2533
@@ -365,6 +367,8 @@ def _seen_by_height(
         return contact
     between = min(t_touch, contact.t), max(t_touch, contact.t)
     first, last = (int(place) for place in np.searchsorted(record.tf, between))
+    if t_touch < contact.t:
+        last -= _AT_THE_TOUCH
     # The end of what is asked about has the most force of it; blocks of that length before it have
     # the same slow noise and hum.
     size = min(last - first, first // _FEWEST)

@@ -18,8 +18,11 @@
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.refit import Smooth
-from hapticvision_ros.core.diagnosis.structure import _alike, GATE, look
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.diagnosis.refit import Smooth, Workbench
+from hapticvision_ros.core.diagnosis.structure import _alike, _calm, GATE, look
+from hapticvision_ros.core.fit.campaign import fit_prepared
+from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import peak_force
@@ -64,6 +67,24 @@ def test_little_is_said_of_a_force_once_the_tool_is_away(
 
     campaign = world.campaign(world.four[:trials], recover=4.0)
     assert bool(away(world.measure(campaign, seed=5, change=humped))) == seen
+
+
+def test_nothing_is_looked_for_while_a_tool_gathers_speed_to_withdraw(world: Any) -> None:
+    """How it does so its encoders leave open, and a flow feels it."""
+    campaign = replace(world.campaign(world.four[:2]), acceleration=0.1)
+    pairs = world.measure(campaign, seed=3).pairs
+    prepared, _ = prepare(pairs, servo=arm_of(pairs)[0])
+    found = fit_prepared(prepared, Model())
+    base = Workbench(found.problem.trials, None).base(found)
+    for trial, (_, phases), calm in zip(base.problem.trials, pairs, _calm(base), strict=True):
+        t_hold, t_release = phases.t_hold, phases.t_release
+        assert t_hold is not None
+        assert t_release is not None
+        gathers = next(b.stop for b in trial.path.bends if b.stop > t_release + 0.1)
+        assert gathers == pytest.approx(t_release + 0.2, abs=0.01)
+        assert not calm[(trial.middle > t_release) & (trial.middle < gathers)].any()
+        assert calm[(trial.middle > t_hold + 0.2) & (trial.middle < t_release - 0.05)].all()
+        assert calm[trial.middle > gathers + 0.05].any()
 
 
 @pytest.mark.parametrize('common', [0.0, 2.5])
