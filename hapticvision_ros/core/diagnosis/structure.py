@@ -221,7 +221,8 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
             # that has relaxed does not outlast.
             if trial.t_release is not None and bend.start - reach < trial.t_release < bend.stop:
                 start = int(np.searchsorted(trial.t[1:], bend.start - reach))
-                near[start : int(np.searchsorted(trial.t[:-1], bend.stop + reach))] = True
+                stop = int(np.searchsorted(trial.t[:-1], bend.stop + reach))
+                near[start:stop] = True
         calm.append(~near)
     return calm
 
