@@ -979,5 +979,7 @@ def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:
     bench = Workbench(trials, known, found.before.noise.memory)
     # All trials have shown how closely to search.
     first, *later = found.contenders or ((),)
-    chosen, rounds = select(bench, bench.base(found.before), first, later=later, closely=False)
+    chosen, rounds = select(
+        bench, bench.base(found.before), first, later=later, rivals=first[:1], closely=False
+    )
     return eliminate(bench, chosen, rounds)[0]

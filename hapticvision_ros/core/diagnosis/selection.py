@@ -652,6 +652,7 @@ def select(
     progress: Callable[[str], None] | None = None,
     known: Sequence[Round] = (),
     later: Sequence[Sequence[str]] = (),
+    rivals: Sequence[str] | None = None,
     closely: bool = True,
 ) -> tuple[Refit, tuple[Round, ...]]:
     """
@@ -673,6 +674,8 @@ def select(
         Of a selection among fewer: what was held against the same model is not tried again.
     later : sequence of (sequence of str)
         Further candidates once one effect, two, and so on were accepted.
+    rivals : sequence of str, optional
+        What may come first although it does not lead; by default what comes near to it.
     closely : bool
         Whether those that may come first are searched for longer.
 
@@ -702,23 +705,28 @@ def select(
     order = [each.alike[0] for each in path[1] if each.alike]
     if not order:
         return path
-    # What comes first by itself need not be part of what is best together. Where all trials have
-    # told the candidates, these are few.
+    # What comes first by itself need not be part of what is best together.
     begin = replace(path[1][0], alike=())
-    share = _RIVAL if len(order) > 1 or not closely else _NEAR_RIVAL
-    least = share * begin.candidates[0].gain
-    brief = _briefly(bench, begin)
-    rivals = [
+    others = _rivals(bench, begin, order)
+    if rivals is not None:
+        others = [name for name in rivals if name != order[0]]
+    paths = [path, *(forward(name, (begin,)) for name in others)]
+    return _best(bench, [each for each in paths if each[1][0].alike])
+
+
+def _rivals(bench: Workbench, first: Round, order: Sequence[str]) -> list[str]:
+    """Return what may be part of the best model, beside what leads to those in `order`."""
+    least = (_RIVAL if len(order) > 1 else _NEAR_RIVAL) * first.candidates[0].gain
+    brief = _briefly(bench, first)
+    return [
         each.effect
-        for each in begin.candidates
+        for each in first.candidates
         if each.refit is not None
         and each.gain > least
         and each.effect != order[0]
         # What draws jumps out alike leaves the same to others.
         and not {order[0], each.effect} <= brief
-    ]
-    paths = [path, *(forward(name, (begin,)) for name in rivals[:_RIVALS])]
-    return _best(bench, [each for each in paths if each[1][0].alike])
+    ][:_RIVALS]
 
 
 def _briefly(bench: Workbench, first: Round) -> set[str]:
