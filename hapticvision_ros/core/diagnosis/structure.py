@@ -92,7 +92,8 @@ class Found:
     curve : Curve
         The curve.
     gain : float
-        By how much it lowers the deviance beyond the price of its corners.
+        By how much it lowers the deviance beyond the price of its corners, or what it says
+        against chance that all trials have it alike, if that is more.
     rms : float
         Its root mean square where it is not zero, in the channel's unit.
     strength : float
