@@ -180,9 +180,7 @@ def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:
     block = _block(factors, variances, times, repeated)
     if slope != 0.0 and block is not None:
         # What changes at once changes with time as well.
-        apart = _apart(factors - slope * times, repeated)
-        degrees = apart.size - len(repeated) - 1
-        if block.rest**2 < _CLEARER * float(apart @ apart) / degrees:
+        if block.rest**2 < _CLEARER * _left_by_trend(factors, times, repeated):
             slope = 0.0
         else:
             block = None
@@ -230,14 +228,11 @@ def apart(found: Refit) -> Block | None:
     times = np.array([trial.campaign_time for trial in found.problem.trials])
     everyone = [list(range(times.size))]
     factors, variances = _factors(*_shifts(found))
-    block = _block(factors, variances, times, everyone)
-    if block is None:
+    # Without times there is no order in which the trials are one after another.
+    block = _block(factors, variances, times, everyone) if np.ptp(times) > 0.0 else None
+    if block is None or block.rest**2 >= _CLEARER * _left_by_trend(factors, times, everyone):
         return None
-    late = times - times.mean()
-    centred = factors - factors.mean()
-    rest = centred - late * float(late @ centred) / max(float(late @ late), 1e-300)
-    steady = float(rest @ rest) / max(times.size - 2, 1)
-    return block if block.rest**2 < _CLEARER * steady else None
+    return block
 
 
 def pushed_apart(
@@ -481,6 +476,15 @@ def _contrasts(
                 bounds.append((int(first), int(last)))
                 columns.append(column)
     return bounds, np.array(columns)
+
+
+def _left_by_trend(
+    factors: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]
+) -> float:
+    """Return the variance that a steady change over the campaign leaves in the groups."""
+    common, late = _apart(factors, groups), _apart(times, groups)
+    rest = common - late * float(late @ common) / float(late @ late)
+    return float(rest @ rest) / (rest.size - len(groups) - 1)
 
 
 def _trend(factors: FloatArray, times: FloatArray, groups: Sequence[Sequence[int]]) -> float:

@@ -475,27 +475,25 @@ class _Search:
             base = bench.base(self.before)
         usual = [name for name in names if not BY_NAME[name].extra]
         chosen, rounds, order = self._select(bench, base, usual)
-        unrepeated, differ = None, ''
+        unrepeated: float | None = None
         if scatter is None or scatter.degrees < _FEW_REPEATS:
-            unrepeated, differ = self._unrepeated(bench, base, chosen, scatter)
+            unrepeated = self._unrepeated(bench, base, chosen)
         if unrepeated is not None:
             # What takes other laws for scatter must not hide them.
             chosen, rounds, order = self._further(bench, chosen, rounds, order, names)
-            unrepeated, differ = self._unrepeated(bench, base, chosen, scatter)
+            unrepeated = self._unrepeated(bench, base, chosen)
         if unrepeated is not None:
-            self.warnings.append(differ)
             bench, chosen, rounds, order = self._scattered(plain, unrepeated, usual)
         at_once = None
         if scatter is None or scatter.degrees < _FEW_REPEATS:
             at_once = self._at_once(plain, chosen)
         if at_once is not None:
             names, usual = ([n for n in of if without_law(n) != _AGEING] for of in (names, usual))
-            if unrepeated is None:
-                self.warnings.append(self._in_words(at_once, scatter))
             unrepeated = at_once
             bench, chosen, rounds, order = self._scattered(plain, at_once, usual)
         if unrepeated is not None:
             scattered = np.full(3, unrepeated)
+            self.warnings.append(_differ(unrepeated, scatter))
         self.tell('looking at what is left')
         rest = self._rest(bench, rounds[0].without, chosen, rounds)
         # What only another law shows, such as friction that a tool in the air does not feel, may
@@ -661,25 +659,20 @@ class _Search:
             return again
         return chosen, rounds, order
 
-    def _unrepeated(
-        self, bench: Workbench, base: Refit, chosen: Refit, scatter: Scatter | None
-    ) -> tuple[float | None, str]:
+    def _unrepeated(self, bench: Workbench, base: Refit, chosen: Refit) -> float | None:
         """
-        Return the scatter that trials with no or few repeats ask for, if they do, in words too.
+        Return the scatter that trials with no or few repeats ask for, if they do.
 
         Scatter is a rival of every effect: it stands where it explains the trials clearly better
         beside the effects, or as well as they do in their place.
         """
         if len(bench.trials) < 2:
-            return None, ''
+            return None
         size = self._scattering(bench, chosen, chosen.deviance - LEAD)
         if size is None and chosen.model.effects:
-            worth = sum(price(bench, name) for name in chosen.model.effects)
             own = math.log(bench.samples)
-            size = self._scattering(bench, base, chosen.deviance + worth - own + LEAD)
-        if size is None:
-            return None, ''
-        return size, self._in_words(size, scatter)
+            size = self._scattering(bench, base, worth(bench, chosen) - own + LEAD)
+        return size
 
     def _scattered(
         self, plain: Workbench, size: float, names: Sequence[str]
@@ -698,15 +691,6 @@ class _Search:
         if without is None or apart(without) is None:
             return None
         return self._scattering(plain, without, math.inf)
-
-    def _in_words(self, size: float, scatter: Scatter | None) -> str:
-        """Return what scatter without enough repeats is warned of with."""
-        what = 'without repeats' if scatter is None else 'with so few repeats'
-        return (
-            f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
-            f'{100.0 * size:.2g} % from trial to trial: {what} of the same push this '
-            f'cannot be told from an effect'
-        )
 
     def _scattering(self, bench: Workbench, near: Refit, below: float) -> float | None:
         """Return the scatter with which a model has its least deviance, if that is low enough."""
@@ -901,6 +885,16 @@ class _Search:
                 f'{100.0 * size:.2g} % from trial to trial: scatter, or an effect',
             ),
         )
+
+
+def _differ(size: float, scatter: Scatter | None) -> str:
+    """Return what scatter without enough repeats is warned of with."""
+    what = 'without repeats' if scatter is None else 'with so few repeats'
+    return (
+        f'the trials differ among themselves as if K1, C1 and C2 scattered by about '
+        f'{100.0 * size:.2g} % from trial to trial: {what} of the same push this '
+        f'cannot be told from an effect'
+    )
 
 
 def _late(rounds: Sequence[Round], order: Sequence[str]) -> float:

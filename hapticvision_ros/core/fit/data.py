@@ -961,6 +961,7 @@ def _prepare(
     if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
         events += [t for t in path.events if touch < t < edges[-1]]
         steps = _steps(edges, np.array(sorted(events)), interval, windows)
+        # What was set aside is no force that goes on or jumps.
         told = np.flatnonzero(samples.good)
         read = np.interp(np.arange(samples.force.size), told, samples.force[told])
         samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), read))

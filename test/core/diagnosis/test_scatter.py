@@ -315,6 +315,13 @@ def test_without_repeats_what_changed_between_trials_is_told_from_scatter(
         assert found.rest < 0.01
 
 
+def test_trials_of_one_time_are_not_one_after_another(world: Any) -> None:
+    campaign = world.campaign(MIXED, hold=3.0, recover=2.0, rate=100.0)
+    _, base = world.measure(campaign, Undeclared('gain_step', (0.08,)), seed=3).bench()
+    trials = [replace(trial, campaign_time=0.0) for trial in base.problem.trials]
+    assert apart(Workbench(trials, None).taken_over(base)) is None
+
+
 def test_in_what_pushes_differ_from_all_others_is_said() -> None:
     four = [phases(0.004, depth, 10.0) for depth in (0.006, 0.004)]
     twelve = [phases(0.012, depth, 9.5) for depth in (0.006, 0.004)]

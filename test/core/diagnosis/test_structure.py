@@ -87,20 +87,28 @@ def test_nothing_is_looked_for_while_a_tool_gathers_speed_to_withdraw(world: Any
         assert calm[trial.middle > gathers + 0.05].any()
 
 
-@pytest.mark.parametrize('common', [0.0, 2.5])
-def test_curves_of_one_form_are_told_from_slow_noise_of_unknown_size(common: float) -> None:
-    """Six trials with five corners each: by chance once in a few hundred of so many curves."""
+@pytest.mark.parametrize('taken_for', [0.01, 1.0, 10.0])
+@pytest.mark.parametrize('common', [0.0, 30.0])
+def test_curves_of_one_form_are_told_from_slow_noise_of_unknown_size(
+    common: float, taken_for: float
+) -> None:
+    """A random walk in white noise, whose variance is taken for another, in six trials."""
     random = np.random.default_rng(9)
     trials, corners, curves = 6, 5, 20
-    gains = []
-    for _ in range(400):
-        # The noise has been taken for three times as large as it is, or for a third.
-        size = np.exp(random.uniform(-1.0, 1.0))
-        sizes = size * (random.standard_normal((trials, corners)) + common)
+    t = np.linspace(0.01, 1.0, 100)
+    hats = np.maximum(1.0 - np.abs(4.0 * t[:, np.newaxis] - np.arange(corners)), 0.0)
+    walk = 100.0 * np.minimum.outer(t, t)
+    colour = np.linalg.cholesky(np.eye(t.size) + walk)
+    white = np.linalg.inv(np.linalg.cholesky(np.eye(t.size) + taken_for * walk))
+    along = np.linalg.qr(white @ hats)[0].T @ white
+    seen = []
+    for _ in range(300):
+        force = random.standard_normal((trials, t.size)) @ colour.T + common * np.sin(9.0 * t)
+        sizes = force @ along.T
         alike = float(trials * np.sum(sizes.mean(axis=0) ** 2))
         own = float(np.sum(sizes**2))
-        gains.append(
-            _alike(Smooth(alike, corners, (), ()), Smooth(own, trials * corners, (), ()), curves)
+        gain = _alike(
+            Smooth(alike, corners, (), ()), Smooth(own, trials * corners, (), ()), curves
         )
-    seen = np.mean(np.array(gains) > GATE)
-    assert seen > 0.95 if common else seen < 0.01
+        seen.append(gain > GATE)
+    assert np.mean(seen) > 0.95 if common else np.mean(seen) < 0.01

@@ -1012,6 +1012,22 @@ def test_a_trial_whose_stamps_are_off_by_a_little_has_steps_of_one_length() -> N
     assert _other_lengths(made.samples.edges, steps) < 0.1
 
 
+def test_an_absurd_reading_moves_no_edges() -> None:
+    trial = _trial()
+    random = np.random.default_rng(9)
+    t = trial.force.t + np.median(np.diff(trial.force.t)) * 0.1 * random.standard_normal(
+        len(trial.force)
+    )
+    value = trial.force.value + 0.01 * random.standard_normal(t.size)
+    wrong = value.copy()
+    wrong[50] = 3.4e38
+    (made,), _ = prepare([(replace(trial, force=Signal(t, value)), PHASES)])
+    (other,), _ = prepare([(replace(trial, force=Signal(t, wrong)), PHASES)])
+    assert not other.samples.good[50]
+    same = np.isclose(made.samples.edges, other.samples.edges, rtol=0.0, atol=1e-9)
+    assert np.count_nonzero(~same) <= 4
+
+
 def test_the_interval_of_a_clock_does_not_drift_from_stamps_that_are_far_off() -> None:
     random = np.random.default_rng(6)
     ticks = 0.001 * np.flatnonzero(random.uniform(size=50000) > 0.01)
