@@ -94,7 +94,8 @@ def bootstrap(
         made = simulated(base, drawn, np.random.default_rng((_SEED, number)))
         start, _ = _base(found.before, made, groups, assumed)
         bench = Workbench(made, start.problem.scatter if start.problem.scatter.size else None)
-        _, rounds = select(bench, start, names)
+        # What leads is accepted or not; what would go better with others does not matter.
+        _, rounds = select(bench, start, names, rivals=())
         return bool(rounds[0].alike), _gain(rounds[0])
 
     alarms = as_large = 0

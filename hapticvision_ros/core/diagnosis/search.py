@@ -260,7 +260,8 @@ def _contenders(rounds: Sequence[Round], chosen: Sequence[str]) -> tuple[tuple[s
             if one.refit is not None and one.gain > least and not BY_NAME[one.effect].misdates
         ]
         accepted = () if names else chosen
-        names.append(tuple(dict.fromkeys((*each.alike, *near, *accepted))))
+        # The first of all comes first again.
+        names.append(tuple(dict.fromkeys((*accepted, *each.alike, *near))))
     return tuple(names)
 
 
@@ -292,7 +293,7 @@ def _otherwise(
     bench = Workbench(before.problem.trials, scatter, memory)
     reached = worth(bench, outcome.chosen)
     if rest and not outcome.effects:
-        reached -= rest[0].gain
+        reached -= max(0.0, *(each.gain for each in rest))
     smaller = list[Refit]()
     for each in outcome.rounds:
         if not each.alike and (outcome.effects or not rest):
@@ -486,7 +487,7 @@ class _Search:
             bench, chosen, rounds, order = self._scattered(plain, unrepeated, usual)
         at_once = None
         if scatter is None or scatter.degrees < _FEW_REPEATS:
-            at_once = self._at_once(plain, chosen)
+            at_once = self._at_once(plain, bench, chosen)
         if at_once is not None:
             names, usual = ([n for n in of if without_law(n) != _AGEING] for of in (names, usual))
             unrepeated = at_once
@@ -510,7 +511,7 @@ class _Search:
         named = [each.alike for each in sets]
         if rest:
             taken = base.deviance - chosen.deviance
-            if rest[0].gain > taken:
+            if not order or max(each.gain for each in rest) > taken:
                 status, order, chosen, named = 'unexplained', (), base, []
             else:
                 # A model that is known to be wrong does not tell its effects from others well.
@@ -681,8 +682,12 @@ class _Search:
         bench = plain.scattering(np.full(3, size))
         return bench, *self._select(bench, bench.base(self.before), names)
 
-    def _at_once(self, plain: Workbench, chosen: Refit) -> float | None:
-        """Return the scatter that stands in for a change between two trials, no ageing, if any."""
+    def _at_once(self, plain: Workbench, bench: Workbench, chosen: Refit) -> float | None:
+        """
+        Return the scatter that stands in for a change between two trials, no ageing, if any.
+
+        It is no less than that of a few repeats, which the trials of the `bench` have.
+        """
         names = chosen.model.effects
         others = tuple(name for name in names if without_law(name) != _AGEING)
         if len(others) == len(names):
@@ -690,7 +695,11 @@ class _Search:
         without = plain.refit(Model(others), chosen)
         if without is None or apart(without) is None:
             return None
-        return self._scattering(plain, without, math.inf)
+        held = bench.refit(without.model, without)
+        size = None if held is None else self._scattering(bench, held, held.deviance)
+        if size is None and bench.scatter is not None:
+            size = float(bench.scatter.max())
+        return size
 
     def _scattering(self, bench: Workbench, near: Refit, below: float) -> float | None:
         """Return the scatter with which a model has its least deviance, if that is low enough."""
@@ -723,7 +732,7 @@ class _Search:
         return tuple(
             found
             for found in look(bench, chosen, self.phases)
-            if found.gain > STRUCTURE_GATE
+            if found.surprise > STRUCTURE_GATE
             and found.strength > least
             and found.share > _LEAST_SHARE
         )
@@ -941,7 +950,7 @@ def _widened(found: Round) -> tuple[str, ...]:
         for each in found.candidates
         if each.refit is not None and each.gain > _NEAR * leader.gain
     ]
-    return (found.alike[0], *(name for name in near if name != found.alike[0]))
+    return tuple(dict.fromkeys((*found.alike, *near)))
 
 
 def choose_again(found: Diagnosis, left_out: Collection[str]) -> Refit | None:

@@ -718,15 +718,15 @@ def _rivals(bench: Workbench, first: Round, order: Sequence[str]) -> list[str]:
     """Return what may be part of the best model, beside what leads to those in `order`."""
     least = (_RIVAL if len(order) > 1 else _NEAR_RIVAL) * first.candidates[0].gain
     brief = _briefly(bench, first)
-    return [
-        each.effect
-        for each in first.candidates
-        if each.refit is not None
-        and each.gain > least
-        and each.effect != order[0]
+    best = dict[str, str]()
+    for each in first.candidates:
         # What draws jumps out alike leaves the same to others.
-        and not {order[0], each.effect} <= brief
-    ][:_RIVALS]
+        alike = {order[0], each.effect} <= brief
+        if each.refit is not None and each.gain > least and not alike:
+            best.setdefault(without_law(each.effect), each.effect)
+    # The laws of an effect are one rival, and no rival of one another.
+    best.pop(without_law(order[0]), None)
+    return list(best.values())[:_RIVALS]
 
 
 def _briefly(bench: Workbench, first: Round) -> set[str]:
@@ -830,22 +830,41 @@ def _best(bench: Workbench, paths: Sequence[_Path]) -> _Path:
     near = [k for k in good if len(orders[k]) == fewest]
     best = min(near, key=lambda k: totals[k])
     order, (model, rounds) = orders[best], paths[best]
+    mine = set(map(without_law, order))
     rivals: list[list[str]] = [[] for _ in order]
     for k in near:
-        # What both have is no rival of what only one of them has.
-        places = [place for place, name in enumerate(order) if name not in orders[k]]
-        for place, name in zip(places, [n for n in orders[k] if n not in order], strict=True):
+        # What both have is no rival of what only one of them has, whichever law it follows.
+        theirs = set(map(without_law, orders[k]))
+        places = [place for place, name in enumerate(order) if without_law(name) not in theirs]
+        names = [name for name in orders[k] if without_law(name) not in mine]
+        for place, name in zip(places, names, strict=True):
             rivals[place].append(name)
-    others = {orders[k][0] for k in range(len(paths)) if k not in good or k in near}
+    others = {without_law(orders[k][0]) for k in range(len(paths)) if k not in good or k in near}
     brief = _briefly(bench, rounds[0])
-    others = others.difference(rivals[0], order[:1], brief if order[0] in brief else ())
-    told = [replace(rounds[0], alike=tuple(n for n in rounds[0].alike if n not in others))]
-    told += rounds[1:]
+    kept = {*rivals[0], order[0], *(brief if order[0] in brief else ())}
+    others = others.difference(map(without_law, kept))
+    alike = tuple(name for name in rounds[0].alike if without_law(name) not in others)
+    told = [replace(rounds[0], alike=alike), *rounds[1:]]
     for place, names in enumerate(rivals):
-        known = {one.effect for one in told[place].candidates if one.refit is not None}
-        alike = dict.fromkeys((*told[place].alike, *(n for n in names if n in known)))
-        told[place] = replace(told[place], alike=tuple(alike))
+        told[place] = _with_rivals(bench, told[place], names)
     return model, tuple(told)
+
+
+def _with_rivals(bench: Workbench, found: Round, names: Sequence[str]) -> Round:
+    """Return a round with rivals of its leader, which are refitted if they were not."""
+    tried = {each.effect: each for each in found.candidates}
+    alike = dict.fromkeys(found.alike)
+    for name in names:
+        if (name not in tried or tried[name].refit is None) and candidates_for(
+            found.without.model, [name]
+        ):
+            refit = bench.refit(Model((*found.without.model.effects, name)), found.without)
+            if refit is not None:
+                tried[name] = _trialled(bench, found.without, name, refit)
+        if name in tried and tried[name].refit is not None:
+            alike[name] = None
+    candidates = sorted(tried.values(), key=lambda each: (each.refit is None, -each.gain))
+    return replace(found, candidates=tuple(candidates), alike=tuple(alike))
 
 
 def _as_quick(

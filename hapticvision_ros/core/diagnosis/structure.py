@@ -92,8 +92,9 @@ class Found:
     curve : Curve
         The curve.
     gain : float
-        By how much it lowers the deviance beyond the price of its corners, or what it says
-        against chance that all trials have it alike, if that is more.
+        By how much it lowers the deviance beyond the price of its corners.
+    surprise : float
+        That, or what it says against chance that all trials have it alike, if that is more.
     rms : float
         Its root mean square where it is not zero, in the channel's unit.
     strength : float
@@ -105,6 +106,7 @@ class Found:
 
     curve: Curve
     gain: float
+    surprise: float
     rms: float
     strength: float
     share: float
@@ -157,10 +159,10 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
             break
         smooth = bench.smooth(found, columns, again=True)
         gain = smooth.gain - smooth.count * math.log(bench.samples)
-        gain = max(gain, alike.get(curve, gain))
-        if gain > 0.0:
-            results.append(_described(bench, found, phases, curve, smooth, gain))
-    return tuple(sorted(results, key=lambda each: -each.gain))
+        surprise = max(gain, alike.get(curve, gain))
+        if surprise > 0.0:
+            results.append(_described(bench, found, phases, curve, smooth, gain, surprise))
+    return tuple(sorted(results, key=lambda each: -each.surprise))
 
 
 def _alike(common: Smooth, own: Smooth, curves: int) -> float:
@@ -298,6 +300,7 @@ def _described(
     curve: Curve,
     smooth: Smooth,
     gain: float,
+    surprise: float,
 ) -> Found:
     """Return the size of a curve that was found."""
     force = curve.channel == 'force'
@@ -325,6 +328,7 @@ def _described(
     return Found(
         curve=curve,
         gain=gain,
+        surprise=surprise,
         rms=math.sqrt(squares / max(float(weight.sum()), 1.0)),
         strength=math.sqrt(squares / all_samples) / noise,
         share=1.0 - after / before if before > 0.0 else 0.0,

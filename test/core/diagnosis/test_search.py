@@ -23,10 +23,18 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis
-from hapticvision_ros.core.diagnosis.search import _contenders, _parted, choose_again, diagnose
+from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.search import (
+    _contenders,
+    _parted,
+    _widened,
+    choose_again,
+    diagnose,
+)
 from hapticvision_ros.core.diagnosis.selection import Round, Trialled
 from hapticvision_ros.core.fit import data, way
 from hapticvision_ros.core.fit.bend import told
+from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign
@@ -135,10 +143,21 @@ def test_what_was_accepted_last_may_be_the_first_without_some_trials(
         Round(refit, trialled(damage=8.0, ageing=2.0), ()),
     )
     assert _contenders(rounds, ('yield_force',)) == (
-        ('springpot', 'yield_force'),
+        ('yield_force', 'springpot'),
         ('yield_force',),
         ('damage',),
     )
+    # What leads comes first where it is needed.
+    assert _contenders(rounds, ('springpot', 'yield_force'))[0] == ('springpot', 'yield_force')
+
+
+def test_a_rest_widens_a_set_and_takes_nothing_out_of_it(noise_only: Any) -> None:
+    _, refit = noise_only.bench()
+    gains = {'springpot': 100.0, 'damage': 80.0, 'friction': 60.0, 'yield_force': 20.0}
+    tried = tuple(Trialled(name, gain, gain, 1.0, refit) for name, gain in gains.items())
+    # As good as the leader, though not by itself.
+    found = Round(refit, tried, ('springpot', 'yield_force'))
+    assert _widened(found) == ('springpot', 'yield_force', 'damage')
 
 
 @ACTING
@@ -463,6 +482,25 @@ def test_a_change_between_trials_without_repeats_is_said_and_no_scatter(world: A
     (where,) = found.unexplained.where
     assert 'trial_01 to trial_03 differ from all others by -7' in where
     assert where.endswith('no scatter, or goes with the push speed')
+
+
+def test_a_change_between_trials_is_no_less_than_the_scatter_of_a_few_repeats(world: Any) -> None:
+    campaign = world.campaign((*world.four, (0.008, 0.005)), hold=3.0, recover=2.0)
+    measured = world.measure(campaign, Undeclared('gain_step', (-0.03,)), seed=3)
+    prepared, _ = prepare(measured.pairs)
+    before = fit_prepared(prepared, Model())
+    plain = Workbench(before.problem.trials, None)
+    base = plain.base(before)
+    steps = search._Search(
+        before, measured.phases, 1, lambda _: None, None, line=False, dated=False
+    )
+    aged = plain.refit(Model(('ageing',)), base)
+    sizes = []
+    for known in (None, 0.006, 0.1):
+        bench = plain if known is None else plain.scattering(np.full(3, known))
+        sizes.append(steps._at_once(plain, bench, aged))
+    assert sizes[0] == sizes[1] > 0.006
+    assert sizes[2] == 0.1
 
 
 def test_an_effect_of_no_library_is_not_taken_for_a_certain_one(case: Any) -> None:

@@ -27,8 +27,10 @@ from hapticvision_ros.core.diagnosis.selection import (
     _by_place,
     _good,
     _near,
+    _rivals,
     _sharper,
     _shown,
+    _with_rivals,
     _withdrawal_shown,
     drawn_out,
     fleeting,
@@ -71,7 +73,8 @@ def best(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(selection, 'worth', lambda _, refit: refit.total)
     monkeypatch.setattr(selection, '_samples', lambda _, refit, __: refit)
     # Two of these draw jumps out over less than a sample.
-    samples = {'a': np.inf, 'b': np.inf, 'c': np.inf, 'd': np.inf, 'lag': 0.5, 'spring': 0.5}
+    names = ('a', 'b', 'c', 'd', 'friction', 'friction:held')
+    samples = {**dict.fromkeys(names, np.inf), 'lag': 0.5, 'spring': 0.5}
     tried: Any = tuple(Trialled(name, 50.0, 40.0, 1.0, samples[name]) for name in samples)
 
     def made(*paths: tuple[float, str], alike: str = '') -> tuple[float, list[tuple[str, ...]]]:
@@ -108,6 +111,41 @@ def test_pairs_that_are_not_told_apart_are_both_said(best: Any) -> None:
     # Fewer effects come before more that are no better.
     assert best((55.0, 'a'), (50.0, 'c d')) == (55.0, [('a',), ()])
     assert best((55.0, 'a b'), (50.0, 'c')) == (50.0, [('c',), ()])
+
+
+def test_laws_of_an_effect_are_no_rivals_of_one_another(best: Any) -> None:
+    assert best((55.0, 'friction b'), (50.0, 'friction:held b')) == (
+        50.0,
+        [('friction:held',), ('b',), ()],
+    )
+    # Nor does a law stand for an effect that went worse by another.
+    assert best((50.0, 'a b'), (100.0, 'friction d'), alike='friction:held') == (
+        50.0,
+        [('a',), ('b',), ()],
+    )
+
+
+def test_a_rival_that_promised_nothing_beside_the_best_is_refitted_there(world: Any) -> None:
+    bench, base = world.measure(world.campaign(world.four[:2]), seed=1).bench()
+    promised = Trialled('friction', 5.0, -5.0, 0.0, None)
+    leader = Trialled('damage', 60.0, 50.0, 1.0, bench.refit(Model(('damage',)), base))
+    found = _with_rivals(bench, Round(base, (leader, promised), ('damage',)), ['friction'])
+    assert found.alike == ('damage', 'friction')
+    assert [each.effect for each in found.candidates] == ['damage', 'friction']
+    refit = found.candidates[1].refit
+    assert refit is not None
+    assert refit.model.effects == ('friction',)
+    # What a model cannot have beside it is no rival there.
+    beside = Round(refit, (leader,), ('damage',))
+    assert _with_rivals(bench, beside, ['friction:held']) == beside
+
+
+def test_each_effect_comes_first_once_whatever_its_laws(best: Any) -> None:
+    names = ('a', 'a:one', 'b', 'b:one', 'b:two', 'c', 'd', 'e')
+    tried: Any = tuple(
+        Trialled(name, 60.0 - k, 50.0 - k, 1.0, np.inf) for k, name in enumerate(names)
+    )
+    assert _rivals(None, Round(None, tried, ()), ['a', 'b']) == ['b', 'c', 'd']
 
 
 def test_a_sine_that_turns_once_or_twice_is_no_disturbance(world: Any) -> None:

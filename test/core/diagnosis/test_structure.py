@@ -35,7 +35,7 @@ def away(measured: Any) -> list[str]:
     """Return the sizes of the curves that stand out of the force once the tool is away."""
     bench, base = measured.bench()
     found = look(bench, base, measured.phases)
-    return [each.curve.size for each in found if each.gain > GATE and each.away]
+    return [each.curve.size for each in found if each.surprise > GATE and each.away]
 
 
 @pytest.mark.parametrize('creeps', [False, True])
