@@ -266,11 +266,14 @@ def _fits(
         found = diagnose(trials, progress=tell, workers=workers)
         if campaigns:
             from hapticvision_ros.core.diagnosis.bootstrap import bootstrap
+            from hapticvision_ros.core.fit.campaign import pairs_of
 
             looked_at = _earlier(trials, found.late) if found.late else trials
             used = [
-                trial.segmentation
-                for trial, fitted in zip(looked_at, found.before.trials, strict=True)
+                phases
+                for (_, phases), fitted in zip(
+                    pairs_of(looked_at), found.before.trials, strict=True
+                )
                 if fitted is not None
             ]
             chance = bootstrap(found, used, campaigns, progress=tell, workers=workers)

@@ -225,6 +225,9 @@ class Segmentation:
     push_is_cut : bool
         Whether the force is largest at the start of the record: what was pressed before, and for
         how long, is not in it.
+    whole : Segmentation or None
+        Where the tool pushes in steps: the phases of all of the record, whose push are all steps
+        up to the deepest.
 
     """
 
@@ -241,6 +244,12 @@ class Segmentation:
     force_zero_std: float = 0.0
     contact_height_std: float = 0.0
     push_is_cut: bool = False
+    whole: 'Segmentation | None' = None
+
+    @property
+    def entire(self) -> 'Segmentation':
+        """Return the phases of all of the record: of the `whole`, where that has others."""
+        return self.whole or self
 
     @property
     def hold_time(self) -> float | None:

@@ -154,7 +154,7 @@ def _verdict(one: Shown, campaign: CampaignAnalysis, units: UnitSystem) -> str:
         return f'{name}: the three-element model could not be compared with this trial.'
     miss = one.before.misfit['force']
     text = f'the three-element model misses the force by {size_text(miss, "force", units)}'
-    part = residuals(one.before.trial, one.analysis.segmentation, 'force')
+    part = residuals(one.before.trial, one.analysis.segmentation.entire, 'force')
     sizes = [
         (phase, part.residual[part.phase == index])
         for index, phase in enumerate(PHASES)

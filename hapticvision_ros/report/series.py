@@ -127,8 +127,8 @@ def _panel(
         lines=(*measured, *(fit for group in fits for fit, _ in group)),
         residuals=tuple(tuple(residual for _, residual in group) for group in fits if group),
         noise=noise,
-        phases=phases_of(analysis.segmentation, float(record[0])),
-        marks=marks_of(analysis.segmentation),
+        phases=phases_of(analysis.segmentation.entire, float(record[0])),
+        marks=marks_of(analysis.segmentation.entire),
     )
 
 
@@ -206,7 +206,7 @@ def height_panel(one: Shown, noise: float | None, units: UnitSystem) -> Panel | 
 
 def _tool_displacement(analysis: TrialAnalysis) -> Signal | None:
     """Return how far the tool is in while it touches [m]; beyond that it leaves the picture."""
-    phases = analysis.segmentation
+    phases = analysis.segmentation.entire
     if phases.t_contact is None or phases.contact_height is None:
         return None
     stops = (phases.t_loss, phases.t_release, phases.t_end)

@@ -92,6 +92,10 @@ class Push:
         How often the tool goes back and down again before the hold, with the speed of the push.
     swing : float
         How far it goes back [m].
+    steps : int
+        In how many steps of one size it goes down; it holds after each.
+    back : float
+        How far it goes back after each hold but the last, to hold there as well [m].
 
     """
 
@@ -102,6 +106,8 @@ class Push:
     release_speed: float = 0.02
     swings: int = 0
     swing: float = 0.0
+    steps: int = 1
+    back: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -589,6 +595,12 @@ def _motion(campaign: Campaign, push: Push) -> tuple[Motion, float, tuple[tuple[
     path.rest(campaign.quiet_time)
     path.go(-gap, max(push.speed, 0.01))
     phases.append((path.t, 'push'))
+    for step in range(1, push.steps):
+        path.go(push.depth * step / push.steps, push.speed)
+        path.rest(push.hold)
+        if push.back > 0.0:
+            path.go(push.depth * step / push.steps - push.back, push.speed)
+            path.rest(push.hold)
     path.go(push.depth, push.speed)
     for _ in range(push.swings):
         path.go(push.depth - push.swing, push.speed)

@@ -521,7 +521,7 @@ def staircase() -> Measured:
     return Measured(Signal(t, noisy), height, 0.0, 2.0, 32.0, None, sigma, 4.0, 1e-6, 0.0)
 
 
-def test_of_a_staircase_the_first_step_is_taken_and_the_rest_is_not_used() -> None:
+def test_of_a_staircase_the_first_step_is_taken_and_all_of_it_is_known() -> None:
     found = segment(staircase().force, staircase().height)
     assert found.t_contact == 0.0
     assert found.t_hold == pytest.approx(2.0, abs=0.004)
@@ -529,6 +529,31 @@ def test_of_a_staircase_the_first_step_is_taken_and_the_rest_is_not_used() -> No
     assert found.t_end == pytest.approx(32.0, abs=0.004)
     assert found.depth == pytest.approx(2e-3, rel=1e-3)
     assert any('first of 3 holds' in warning for warning in found.warnings)
+    assert found.whole is not None
+    assert found.whole.t_contact == found.t_contact
+    assert found.whole.t_hold == pytest.approx(66.0, abs=0.004)
+    assert found.whole.t_end == pytest.approx(100.0, abs=0.02)
+    assert found.whole.t_release is found.whole.t_loss is found.whole.whole is None
+    assert found.whole.depth == pytest.approx(6e-3, rel=1e-3)
+    assert not any('steps' in warning for warning in found.whole.warnings)
+
+
+@pytest.mark.parametrize('held', [True, False])
+def test_of_pushes_that_go_deeper_one_after_another_the_deepest_is_the_push(held: bool) -> None:
+    """Holds, also where the tool has gone back; the deepest push may have none."""
+    t = np.arange(0.0, 60.0, 0.02)
+    hold = 10.0 if held else 0.0
+    lasts = np.cumsum([2.0, 4.0, 10.0, 2.0, 10.0, 4.0, hold, 8.0])
+    x = np.interp(t, [0.0, *lasts], 1e-3 * np.array([-2, -2, 2, 2, 0.5, 0.5, 4, 4, -5]))
+    force, _ = STANDARD_SOLID.integrate(t, np.maximum(x, 0.0))
+    noisy = force + 1e-3 * np.random.default_rng(5).standard_normal(t.size)
+    found = segment(Signal(t, noisy), Signal(t, 0.05 - x))
+    assert found.t_hold == pytest.approx(6.0, abs=0.01)
+    assert found.t_end == pytest.approx(16.0, abs=0.02)
+    assert found.whole is not None
+    assert found.whole.t_hold == (pytest.approx(32.0, abs=0.01) if held else None)
+    assert found.whole.t_release == pytest.approx(32.0 + hold, abs=0.02)
+    assert found.whole.depth == pytest.approx(4e-3, rel=0.01)
 
 
 def test_online_tells_each_step_of_a_staircase() -> None:

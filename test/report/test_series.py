@@ -83,6 +83,16 @@ def test_a_trial_without_release_ends_in_its_hold() -> None:
     assert [mark.symbol for mark in marks_of(phases)] == ['T_c', 'T_s']
 
 
+def test_of_a_push_in_steps_all_of_it_is_shown(diagnosed: CampaignAnalysis) -> None:
+    one, noise = shown(diagnosed)[0], diagnosed.noise.force.value
+    whole = one.analysis.segmentation
+    first = replace(whole, t_release=None, t_loss=None, t_end=whole.t_release, whole=whole)
+    stepping = replace(one, analysis=replace(one.analysis, segmentation=first))
+    for panel in (force_panel, height_panel):
+        again, known = (panel(each, noise, SI_UNITS) for each in (stepping, one))
+        assert (again.phases, again.marks) == (known.phases, known.marks)
+
+
 def test_the_measured_force_is_free_of_the_load_cells_zero(force: Panel) -> None:
     measured = of(force.lines, 'measured')
     # 2000 samples of 0.02 N before contact: their mean is known to 0.5 mN.

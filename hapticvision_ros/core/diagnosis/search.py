@@ -410,7 +410,7 @@ def earlier(
         if height is not None and trial.displacement_source == 'tool':
             there = replace(there, displacement_height=Signal(height.t - late, height.value))
         phases = segment(there.force, there.tool_height, there.displacement_height)
-        moved.append((there, phases))
+        moved.append((there, phases.entire))
     return moved
 
 

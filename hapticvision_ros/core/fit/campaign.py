@@ -187,8 +187,9 @@ type Segmented = Analysed | tuple[Trial, Segmentation]
 
 
 def pairs_of(campaign: Sequence[Segmented]) -> list[tuple[Trial, Segmentation]]:
-    """Return each trial with its phases."""
-    return [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+    """Return each trial with the phases of its whole record."""
+    pairs = [t if isinstance(t, tuple) else (t.trial, t.segmentation) for t in campaign]
+    return [(trial, phases.entire) for trial, phases in pairs]
 
 
 class Blur(NamedTuple):

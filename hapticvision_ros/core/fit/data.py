@@ -732,13 +732,14 @@ def prepare(
     forces = [_without_spikes(trial) for trial, _ in trials]
     range_end = min(range_end, end_of_range(forces))
     for (trial, phases), force in zip(trials, forces, strict=True):
-        beside = _touches(trial.force, phases)[0] if momentary else np.empty(0)
+        touches = _touches(trial.force, phases)[0]
+        beside = touches if momentary else np.empty(0)
         later = (trial.start_ns - first) * 1e-9
         ends = range_end
         if math.isinf(ends) or force.max() > ends:
             # One trial may have been read through another range.
             ends = end_of_range([force])
-        made = _prepare(trial, phases, later, windows, servo, beside, ends)
+        made = _prepare(trial, phases, later, windows, servo, touches, beside, ends)
         # What no model is fitted to has been pushed as well.
         depth = phases.depth if isinstance(made, str) else made.depth
         pushes.append((later, depth or 0.0))
@@ -880,13 +881,15 @@ def _prepare(
     campaign_time: float,
     windows: bool,
     servo: Servo | None,
+    touches: FloatArray,
     beside: FloatArray,
     range_end: float,
 ) -> FitTrial | str:
     """
     Return one trial, or why it cannot be used.
 
-    It is without the readings at the times `beside`, and without those at the end of the range.
+    A tool that comes again is followed as closely at its later `touches` as at the first. The
+    trial is without the readings at the times `beside`, and without those at the end of the range.
     """
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:
@@ -960,6 +963,7 @@ def _prepare(
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
     if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
         events += [t for t in path.events if touch < t < edges[-1]]
+        events += touches[touches > touch + 2.0 * interval].tolist()
         steps = _steps(edges, np.array(sorted(events)), interval, windows)
         # What was set aside is no force that goes on or jumps.
         told = np.flatnonzero(samples.good)

@@ -113,6 +113,18 @@ class _Rest:
     level: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """T_s, T_e, the end of the usable record, the travel reached, and what to know of them."""
+
+    t_hold: float | None
+    t_release: float | None
+    t_stop: float
+    level: float
+    notes: tuple[str, ...] = ()
+    onward: '_Motion | None' = None
+
+
 def segment(
     force: Signal,
     tool_height: Signal,
@@ -129,7 +141,8 @@ def segment(
     sudden fall of the force); t_loss is where the force on withdrawal has gone to its level
     without contact for good, after the pull of an adhesive object. Where a small force (up to
     15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
-    the tool pushes in steps, the phases are those of the first step and `t_end` is its end. Where
+    the tool pushes in steps, the phases are those of the first step and `t_end` is its end; those
+    of the `whole` record have the last hold, at its depth, and all before it is the push. Where
     the tool never comes to rest, `push_speed` is the mean up to the end of the push.
 
     Parameters
@@ -157,26 +170,46 @@ def segment(
     record = _prepare(force, tool_height)
     t_end = float(min(force.t[-1], tool_height.t[-1]))
     contact = _find_contact(record, options)
-    warnings = list(contact.warnings)
     if contact.t is None:
         middle = float(np.median(record.f))
         return Segmentation(
-            None, None, None, None, t_end, None, middle, None, None, tuple(warnings)
+            None, None, None, None, t_end, None, middle, None, None, contact.warnings
         )
+    x_contact = float(np.interp(contact.t, record.tx, record.x))
+    motion = _find_motion(record, contact.t, x_contact, options)
+    if displacement_height is not None and not contact.warnings and motion.t_hold is not None:
+        seen = _seen_by_height(record, contact, x_contact, motion.t_hold, displacement_height)
+        if seen is not contact and seen.t is not None:
+            contact = seen
+            x_contact = float(np.interp(seen.t, record.tx, record.x))
+            motion = _find_motion(record, seen.t, x_contact, options)
+    first = _phases(record, tool_height, contact, motion, t_end, displacement_height, options)
+    if motion.onward is None:
+        return first
+    whole = _phases(
+        record, tool_height, contact, motion.onward, t_end, displacement_height, options
+    )
+    return replace(first, whole=whole)
+
+
+def _phases(
+    record: _Record,
+    tool_height: Signal,
+    contact: _Contact,
+    motion: _Motion,
+    t_end: float,
+    displacement_height: Signal | None,
+    options: SegmentationOptions,
+) -> Segmentation:
+    """Return the phases of a trial whose touch is known, and how the tool goes on from there."""
+    assert contact.t is not None
     t_contact = contact.t
     x_contact = float(np.interp(t_contact, record.tx, record.x))
-    motion = _find_motion(record, t_contact, x_contact, options)
-    if displacement_height is not None and not contact.warnings and motion[0] is not None:
-        seen = _seen_by_height(record, contact, x_contact, motion[0], displacement_height)
-        if seen is not contact and seen.t is not None:
-            contact, t_contact = seen, seen.t
-            x_contact = float(np.interp(t_contact, record.tx, record.x))
-            motion = _find_motion(record, t_contact, x_contact, options)
-    t_hold, t_release, t_stop, level, notes = motion
-    warnings += notes
+    warnings = [*contact.warnings, *motion.notes]
+    t_hold, t_release = motion.t_hold, motion.t_release
     if t_hold is not None and t_release is not None:
         t_release = _seen_by_force(record, t_hold, t_release)
-    t_end = min(t_end, t_stop)
+    t_end = min(t_end, motion.t_stop)
     t_loss, free, notes = _find_loss(
         record, contact, t_release, t_end, x_contact, displacement_height, options
     )
@@ -193,10 +226,10 @@ def segment(
     depth = push_speed = None
     t_deepest = t_hold if t_hold is not None else t_release
     if t_deepest is not None and t_deepest > t_contact:
-        depth = level - x_contact
+        depth = motion.level - x_contact
         push_speed = depth / (t_deepest - t_contact)
     elif t_deepest is None and t_end > t_contact:
-        push_speed = (level - x_contact) / (t_end - t_contact)
+        push_speed = (motion.level - x_contact) / (t_end - t_contact)
     return Segmentation(
         t_contact=t_contact,
         t_hold=t_hold,
@@ -434,39 +467,29 @@ def _find_rests(
 
 def _find_motion(
     record: _Record, t_contact: float, x_contact: float, options: SegmentationOptions
-) -> tuple[float | None, float | None, float, float, list[str]]:
-    """Return T_s, T_e, the end of the usable record, the travel reached, and warnings."""
+) -> _Motion:
+    """Return how the tool goes on from the touch."""
     begin = max(0, int(np.searchsorted(record.tx, t_contact)) - 1)
     tx, x = record.tx[begin:], record.x[begin:]
-    t_stop = float(tx[-1])
     deepest = int(np.argmax(x))
     reach = float(x[deepest]) - x_contact
     if reach <= 5.0 * record.travel_noise or x.size < 4:
-        return (
-            t_contact,
-            None,
-            t_stop,
-            x_contact,
-            ['the tool does not push on after contact: the whole record is taken as the hold'],
-        )
+        note = 'the tool does not push on after contact: the whole record is taken as the hold'
+        return _Motion(t_contact, None, float(tx[-1]), x_contact, (note,))
     band = max(5.0 * record.travel_noise, options.rest_band * reach)
     # Once most of the depth is withdrawn no hold comes any more.
     back = np.flatnonzero(x[deepest:] < x_contact + 0.3 * reach)
     last = deepest + int(back[0]) + 1 if back.size else x.size
     rests = _find_rests(tx[:last], x[:last], band, options)
     rests = [r for r in rests if r.level - x_contact > 0.05 * reach]
-    notes: list[str] = []
     hold: _Rest | None = None
     steps = 0
     for rest in rests:
         pushed = float(tx[rest.first]) - t_contact
         lasted = float(tx[rest.stop - 1] - tx[rest.first])
-        last = rest.stop - 1
-        ahead = float(np.max(x[last:])) - rest.level
-        behind = float(np.max(x[: rest.first + 1])) - rest.level
-        if behind > max(2.0 * band, 0.03 * reach):
+        if _back_from(x, rest) > max(2.0 * band, 0.03 * reach):
             break
-        goes_on = ahead > max(2.0 * band, 0.05 * reach)
+        goes_on = _ahead(x, rest) > max(2.0 * band, 0.05 * reach)
         if goes_on and lasted < 0.2 * pushed:
             continue
         steps += 1
@@ -475,22 +498,44 @@ def _find_motion(
         if not goes_on:
             break
     if hold is None:
-        return _without_hold(tx, x, deepest, band, notes)
-    left = hold.stop
+        return _without_hold(tx, x, deepest, band)
+    motion = _held(tx, x, hold, t_contact)
+    if motion.t_release is None or _ahead(x, hold) <= max(2.0 * band, 0.05 * reach):
+        return motion
+    deep = [
+        rest
+        for rest in rests
+        if _back_from(x, rest) <= max(2.0 * band, 0.03 * reach)
+        and _ahead(x, rest) <= max(2.0 * band, 0.05 * reach)
+    ]
+    onward = _held(tx, x, deep[0], t_contact) if deep else _without_hold(tx, x, deepest, band)
+    t_leave = motion.t_release
+    note = (
+        f'the tool pushes in steps: the phases are those of the first of {steps} holds, up to the '
+        f'next step, at {t_leave:.4g} s; fits of the whole waveform use all of the record'
+    )
+    return replace(motion, t_release=None, t_stop=t_leave, notes=(note,), onward=onward)
+
+
+def _ahead(x: FloatArray, rest: _Rest) -> float:
+    """Return by how much the tool goes deeper after a rest [m]."""
+    return float(np.max(x[rest.stop - 1 :])) - rest.level
+
+
+def _back_from(x: FloatArray, rest: _Rest) -> float:
+    """Return by how much the tool was deeper before a rest [m]."""
+    return float(np.max(x[: rest.first + 1])) - rest.level
+
+
+def _held(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> _Motion:
+    """Return how a tool goes on that comes to rest."""
+    left, t_stop = hold.stop, float(tx[-1])
     t_hold = _fit_hold(tx, x, hold, t_contact)
-    away = left < x.size and abs(float(x[left]) - hold.level) > 0.0
-    if not away:
-        notes.append('the tool does not withdraw within the record: the release is missing')
-        return t_hold, None, t_stop, hold.level, notes
-    t_leave = fit_start(tx, x, _after(tx, t_hold), left)
-    ahead = float(np.max(x[left:])) - hold.level
-    if ahead > max(2.0 * band, 0.05 * reach):
-        notes.append(
-            f'the tool pushes in steps: the phases are those of the first of {steps} holds, and '
-            f'the record is used up to the next step, at {t_leave:.4g} s'
-        )
-        return t_hold, None, t_leave, hold.level, notes
-    return t_hold, t_leave, t_stop, hold.level, notes
+    if left < x.size and abs(float(x[left]) - hold.level) > 0.0:
+        t_leave = fit_start(tx, x, _after(tx, t_hold), left)
+        return _Motion(t_hold, t_leave, t_stop, hold.level)
+    note = 'the tool does not withdraw within the record: the release is missing'
+    return _Motion(t_hold, None, t_stop, hold.level, (note,))
 
 
 def _seen_by_force(record: _Record, t_hold: float, t_release: float) -> float:
@@ -520,15 +565,13 @@ def _after(t: FloatArray, moment: float) -> int:
     return min(int(np.searchsorted(t, moment)), t.size - 2)
 
 
-def _without_hold(
-    tx: FloatArray, x: FloatArray, deepest: int, band: float, notes: list[str]
-) -> tuple[float | None, float | None, float, float, list[str]]:
-    level = float(x[deepest])
+def _without_hold(tx: FloatArray, x: FloatArray, deepest: int, band: float) -> _Motion:
+    level, t_stop = float(x[deepest]), float(tx[-1])
     if level - float(np.min(x[deepest:])) > 5.0 * band:
-        notes.append('the tool withdraws without a rest: the hold is missing')
-        return None, float(tx[deepest]), float(tx[-1]), level, notes
-    notes.append('the tool still pushes at the end of the record: the hold is missing')
-    return None, None, float(tx[-1]), level, notes
+        note = 'the tool withdraws without a rest: the hold is missing'
+        return _Motion(None, float(tx[deepest]), t_stop, level, (note,))
+    note = 'the tool still pushes at the end of the record: the hold is missing'
+    return _Motion(None, None, t_stop, level, (note,))
 
 
 def _fit_hold(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> float:

@@ -441,6 +441,41 @@ def test_what_comes_first_by_itself_is_not_taken_for_part_of_a_pair(
     assert set(again.model.effects) == {'parallel_spring', 'strain_stiffening'}
 
 
+def stepping(world: Any, *effects: Undeclared, back: float = 0.0, late: float = 0.0) -> Any:
+    """Return pushes in three steps, by an arm whose stamps may be late."""
+
+    def stamped(trial: Trial) -> Trial:
+        tool = trial.tool_height
+        return replace(trial, tool_height=Signal(tool.t + late, tool.value))
+
+    campaign = world.campaign(((0.004, 0.008), (0.012, 0.008)), recover=6.0, rate=500.0)
+    pushes = tuple(replace(push, steps=3, back=back) for push in campaign.pushes)
+    return world.measure(replace(campaign, pushes=pushes), *effects, seed=3, change=stamped)
+
+
+def test_all_steps_of_a_push_tell_what_acts(world: Any) -> None:
+    """The first, a third as deep and four seconds long, shows nothing of a weak spring."""
+    measured = stepping(world, Undeclared('parallel_spring', (6.0,)))
+    assert all('steps' in phases.warnings[-1] for phases in measured.phases)
+    found = diagnose(measured.pairs)
+    assert found.effects == ('parallel_spring',)
+    assert len(found.sets[0]) <= 2
+    spring = found.after.parameters['K_p']
+    assert spring.value == pytest.approx(6.0, rel=0.1)
+    first_only = [(t, replace(phases, whole=None)) for t, phases in measured.pairs]
+    assert diagnose(first_only).effects == ()
+
+
+def test_late_stamps_are_told_from_a_mass_where_the_tool_comes_again(world: Any) -> None:
+    """Beside what flows both make a force where the tool changes its speed."""
+    found = diagnose(stepping(world, back=0.003, late=1e-3).pairs)
+    assert found.late == pytest.approx(1e-3, rel=0.1)
+    assert found.effects == ()
+    found = diagnose(stepping(world, Undeclared('inertia', (0.5,)), back=0.003).pairs)
+    assert found.late == 0.0
+    assert found.sets == (('inertia',),)
+
+
 @pytest.mark.parametrize('seed', [3, 4])
 def test_what_follows_each_push_alike_is_no_slow_noise(world: Any, seed: int) -> None:
     """A load cell that creeps by 6 % passes for a zero that wanders, trial by trial."""
