@@ -227,7 +227,9 @@ class Segmentation:
         how long, is not in it.
     whole : Segmentation or None
         Where the tool pushes in steps: the phases of all of the record, whose push are all steps
-        up to the deepest.
+        up to the deepest, with the speed of the first.
+    t_first : float or None
+        In the phases of such a `whole`: when the tool first came to rest [s].
 
     """
 
@@ -245,6 +247,7 @@ class Segmentation:
     contact_height_std: float = 0.0
     push_is_cut: bool = False
     whole: 'Segmentation | None' = None
+    t_first: float | None = None
 
     @property
     def entire(self) -> 'Segmentation':

@@ -569,15 +569,19 @@ def _stops_shown(bench: Workbench, without: Refit, refit: Refit) -> tuple[tuple[
     for index, trial in enumerate(bench.trials):
         before, after = _predicted(without, index)[0], _predicted(refit, index)[0]
         change = (after - before) ** 2 * trial.force_count
-        stop = _about(trial, trial.t_stop)
+        at_stops = [_about(trial, t) for t in trial.stops]
+        stop = np.logical_or.reduce(at_stops)
         at_events = stop | _about(trial, trial.t_contact)
         if trial.t_release is not None:
             at_events |= _about(trial, trial.t_release)
         near += float(change[at_events].sum())
         total += float(change.sum())
         slope = np.gradient(before, trial.middle) if trial.middle.size > 1 else before * 0.0
-        moved = (slope * _moment_error(trial)) ** 2 * trial.force_count
-        seen = _shown(trial) and change[stop].sum() > _MOVED**2 * moved[stop].sum()
+        moved = sum(
+            float(((slope * _moment_error(trial, t)) ** 2 * trial.force_count)[there].sum())
+            for t, there in zip(trial.stops, at_stops, strict=True)
+        )
+        seen = _shown(trial) and change[stop].sum() > _MOVED**2 * moved
         shown.append(bool(seen))
     return tuple(shown), near > _LOCAL * total
 
@@ -592,9 +596,9 @@ def _about(trial: FitTrial, t: float) -> NDArray[np.bool_]:
     return np.asarray((trial.middle > first) & (trial.middle < last))
 
 
-def _moment_error(trial: FitTrial) -> float:
+def _moment_error(trial: FitTrial, t: float) -> float:
     """Return how exactly the encoders tell when the tool stopped, as a standard error [s]."""
-    near = [bend.error for bend in trial.path.bends if bend.start < trial.t_stop < bend.stop]
+    near = [bend.error for bend in trial.path.bends if bend.start < t < bend.stop]
     return near[0] if near else trial.path.interval
 
 
@@ -625,7 +629,7 @@ def _by_place(
             last = max([least, *stops[:1]]) + _BESIDE * trial.interval
             release += float(parts[(trial.middle > first) & (trial.middle < last)].sum())
         if not shown[index]:
-            unseen = _about(trial, trial.t_stop)
+            unseen = np.logical_or.reduce([_about(trial, t) for t in trial.stops])
             if trial.t_stop - trial.t_contact < 2.0 * _RESOLVED * trial.path.interval:
                 # The tool may slow down at the touch already.
                 first = trial.t_contact - _RESOLVED * trial.path.interval

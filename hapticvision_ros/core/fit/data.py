@@ -467,6 +467,8 @@ class FitTrial:
         Whether the record shows the sensor without contact, so that its zero can be fitted.
     t_contact, t_release : float
         The detected touch and start of the release [s].
+    t_first : float or None
+        When a tool that pushes in steps has first come to rest [s].
     eventful : ndarray of bool, shape (samples,)
         Which force samples are near an event, where a sudden residual is no glitch.
     samples : Samples
@@ -498,6 +500,7 @@ class FitTrial:
     has_height_zero: bool
     t_contact: float
     t_release: float | None
+    t_first: float | None
     eventful: NDArray[np.bool_]
     samples: Samples
     path: ToolPath
@@ -523,9 +526,10 @@ class FitTrial:
         Return the steps of the push, and how well its speed is known relative to itself.
 
         It is that of a line through the encoders' samples. What the line is off by is the same
-        for the whole push: the error stands for as much as all its steps tell together.
+        for the whole push: the error stands for as much as all its steps tell together. Of a tool
+        that rests on its way it is the push up to that.
         """
-        deepest = int(np.argmax(self.displacement >= 0.98 * self.displacement.max()))
+        deepest = int(np.argmax(self.displacement >= 0.98 * self._pushed_to))
         first = int(np.searchsorted(self.t, self.t_contact, side='right')) - 1
         steps = slice(max(first, 0), max(deepest, first, 0))
         way = float(self.displacement[steps.stop] - self.displacement[steps.start])
@@ -533,6 +537,22 @@ class FitTrial:
         if way <= 0.0 or seen < 1.0:
             return steps, 0.0
         return steps, math.sqrt(12.0 / seen) * self.path.noise / way
+
+    @property
+    def _pushed_to(self) -> float:
+        """Return how deep the tool goes before it first rests [m]."""
+        if self.t_first is None:
+            return float(self.displacement.max())
+        return float(np.interp(self.t_first, self.t, self.displacement))
+
+    @cached_property
+    def stops(self) -> tuple[float, ...]:
+        """Return when the tool changes its speed between touch and release [s]; first `t_stop`."""
+        if self.t_first is None:
+            return (self.t_stop,)
+        end = math.inf if self.t_release is None else self.t_release
+        later = (0.5 * (bend.start + bend.stop) for bend in self.path.bends)
+        return (self.t_stop, *(t for t in later if self.t_first < t < end))
 
     @cached_property
     def t_stop(self) -> float:
@@ -542,7 +562,7 @@ class FitTrial:
         (start, stop), (first, last) = self.t[ends].tolist(), self.displacement[ends].tolist()
         if last <= first:
             return float(stop)
-        return float(stop + (self.displacement.max() - last) * (stop - start) / (last - first))
+        return float(stop + (self._pushed_to - last) * (stop - start) / (last - first))
 
     @cached_property
     def half_way(self) -> int:
@@ -587,7 +607,7 @@ class FitTrial:
             return np.empty(0)
         reach = _EVENTFUL_STEPS * self.interval
         count = min(math.ceil(2.0 * reach / (_LOOKS * step)), _MOST_LOOKS)
-        events = [self.t_contact, self.t_stop]
+        events = [self.t_contact, *self.stops]
         if self.t_release is not None:
             events.append(self.t_release)
         looks = np.unique(np.add.outer(events, np.linspace(-reach, reach, count + 1)))
@@ -867,6 +887,7 @@ def planned(
         depth_before=like.reference_depth,
         t_contact=touch,
         t_release=end if release else None,
+        t_first=None,
         eventful=np.zeros(count, dtype=np.bool_),
         samples=Samples(edges, np.zeros(count), np.ones(count, dtype=np.bool_)),
         path=path,
@@ -913,7 +934,9 @@ def _prepare(
     interval = float(np.median(np.diff(force.t)))
     middle = 0.5 * (force.t[1:] + force.t[:-1])
     edges = np.concatenate(([force.t[0] - 0.5 * interval], middle, [force.t[-1] + 0.5 * interval]))
-    eventful = near_events(force.t, phases, interval)
+    later = touches[touches > touch + 2.0 * interval].tolist()
+    turns = [] if phases.t_first is None else [bend.t for bend in path.bends if bend.t > touch]
+    eventful = near_events(force.t, phases, interval, (*later, *turns))
     lone = _lone(force, phases, path, interval)
     eventful &= ~lone
     bad = ((suspects(force.value) | lone) & ~eventful) | absurd(force.value, interval)
@@ -928,7 +951,7 @@ def _prepare(
     if height is not None:
         record = height.between(edges[0], edges[-1])
         if len(record) >= 2:
-            good = ~(suspects(record.value) | _astray(record, phases))
+            good = ~(suspects(record.value) | _astray(record, phases, (*later, *turns)))
             height_t, heights = record.t[good], record.value[good]
             height_interval = float(np.median(np.diff(record.t)))
             height_jitter = jitter_of(record.t)
@@ -956,6 +979,7 @@ def _prepare(
         or int(np.count_nonzero(height_t < touch)) >= 3,
         t_contact=touch,
         t_release=phases.t_release,
+        t_first=phases.t_first,
         eventful=eventful,
         samples=samples,
         path=path,
@@ -963,7 +987,7 @@ def _prepare(
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
     if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
         events += [t for t in path.events if touch < t < edges[-1]]
-        events += touches[touches > touch + 2.0 * interval].tolist()
+        events += later
         steps = _steps(edges, np.array(sorted(events)), interval, windows)
         # What was set aside is no force that goes on or jumps.
         told = np.flatnonzero(samples.good)
@@ -1394,7 +1418,7 @@ def _misread(value: FloatArray) -> NDArray[np.bool_]:
     return found
 
 
-def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
+def _astray(height: Signal, phases: Segmentation, turns: Sequence[float]) -> NDArray[np.bool_]:
     """
     Return which heights are beyond both of their neighbours, far from where the tool turns.
 
@@ -1407,7 +1431,7 @@ def _astray(height: Signal, phases: Segmentation) -> NDArray[np.bool_]:
     noise = _scatter_of(value)
     astray = (noise > 0.0) & (_outside(value) > _ASTRAY * noise)
     reach = 2.0 * float(np.median(np.diff(t)))
-    for event in (phases.t_hold, phases.t_release, phases.t_loss):
+    for event in (phases.t_hold, phases.t_release, phases.t_loss, *turns):
         if event is not None:
             astray &= np.abs(t - event) > reach
     return astray
@@ -1527,7 +1551,9 @@ def _lone(
     return lone
 
 
-def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray[np.bool_]:
+def near_events(
+    t: FloatArray, phases: Segmentation, interval: float, others: Sequence[float] = ()
+) -> NDArray[np.bool_]:
     """
     Return which samples are so near to an event that what stands out may be the object's doing.
 
@@ -1541,6 +1567,8 @@ def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray
         The events.
     interval : float
         Usual interval between two samples [s].
+    others : sequence of float
+        Further events [s].
 
     Returns
     -------
@@ -1549,7 +1577,7 @@ def near_events(t: FloatArray, phases: Segmentation, interval: float) -> NDArray
 
     """
     near = np.zeros(t.size, dtype=np.bool_)
-    for event in (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss):
+    for event in (phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss, *others):
         if event is not None:
             reach = _LONGEST_GLITCH * interval
             first = np.searchsorted(t, event - reach)

@@ -189,7 +189,7 @@ def segment(
     whole = _phases(
         record, tool_height, contact, motion.onward, t_end, displacement_height, options
     )
-    return replace(first, whole=whole)
+    return replace(first, whole=replace(whole, push_speed=first.push_speed, t_first=first.t_hold))
 
 
 def _phases(

@@ -30,7 +30,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.records import Diagnosis
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.search import diagnose
-from hapticvision_ros.core.fit.campaign import fit_prepared
+from hapticvision_ros.core.fit.campaign import fit_prepared, pairs_of
 from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
@@ -81,7 +81,7 @@ class Measured:
 
     def bench(self, scatter: float | None = None) -> tuple[Workbench, Refit]:
         """Return the trials on a bench, and the base model fitted to them."""
-        prepared, _ = prepare(self.pairs)
+        prepared, _ = prepare(pairs_of(self.pairs))
         found = fit_prepared(prepared, Model())
         plain = Workbench(found.problem.trials, None)
         if scatter is None:

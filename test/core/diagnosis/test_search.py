@@ -466,6 +466,22 @@ def test_all_steps_of_a_push_tell_what_acts(world: Any) -> None:
     assert diagnose(first_only).effects == ()
 
 
+def test_each_stop_of_a_push_in_steps_is_one(world: Any) -> None:
+    bench, _ = stepping(world, back=0.003).bench()
+    for trial in bench.trials:
+        # Down, back, down, back, and down to the depth: a start and a stop, but the first start.
+        assert len(trial.stops) == 9
+        assert trial.stops[0] == pytest.approx(trial.t_first, abs=0.05)
+        assert np.all(np.diff(trial.stops) > 0.0)
+        assert trial.stops[-1] < trial.t_release - 3.9
+        # The speed of the push is that of the first step.
+        push, _ = trial.pushed
+        assert trial.t[push.stop] <= trial.t_first
+        assert trial.displacement[push.stop] == pytest.approx(0.008 / 3.0, rel=0.03)
+        for t in trial.stops:
+            assert trial.eventful[np.searchsorted(trial.samples.edges, t)]
+
+
 def test_late_stamps_are_told_from_a_mass_where_the_tool_comes_again(world: Any) -> None:
     """Beside what flows both make a force where the tool changes its speed."""
     found = diagnose(stepping(world, back=0.003, late=1e-3).pairs)
@@ -588,9 +604,11 @@ def test_neither_do_the_names_of_the_trials(few: Any, names: str) -> None:
     )
 
 
-def _slow(world: Any, stiffness: float, resolution: float = 0.0) -> Any:
-    """Return what is found where a spring in series acts and the encoders do not show the stop."""
+def _slow(world: Any, stiffness: float, resolution: float = 0.0, steps: int = 1) -> Any:
+    """Return what is found where a spring acts in series and encoders do not show the stops."""
     campaign = world.campaign()
+    pushes = tuple(replace(push, steps=steps) for push in campaign.pushes)
+    campaign = replace(campaign, pushes=pushes)
     slow = replace(
         campaign.sensors, force_rate=500.0, tool_rate=50.0, encoder_resolution=resolution
     )
@@ -605,9 +623,12 @@ def test_the_touches_tell_what_slow_encoders_do_not_show(world: Any) -> None:
     assert len(names) == 2
 
 
-def test_what_neither_touches_nor_slow_encoders_show_is_told_and_not_named(world: Any) -> None:
+@pytest.mark.parametrize('steps', [1, 3])
+def test_what_neither_touches_nor_slow_encoders_show_is_told_and_not_named(
+    world: Any, steps: int
+) -> None:
     # Encoders that round: else all stops together show how the arm makes them.
-    found = _slow(world, 8e5, 2e-5)
+    found = _slow(world, 8e5, 2e-5, steps)
     assert found.effects == ()
     (told,) = (each for each in found.warnings if 'drawn out' in each)
     assert 'series_spring' in told
