@@ -88,7 +88,7 @@ SETS = (
     Set('silicone, push and hold', 'silicone_indentation', 'push_hold_P002_laser_[2-6]'),
     Set('silicone, push, hold and release', 'silicone_indentation', 'push_hold_release_*'),
     Set('muscle', 'muscle_ramp_hold', 'ramp_*'),
-    Set('adhesive, first step', 'adhesive_shear_relaxation', 'rate_*'),
+    Set('adhesive', 'adhesive_shear_relaxation', 'rate_*'),
 )
 
 OTHERS = (

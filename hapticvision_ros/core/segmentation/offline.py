@@ -519,7 +519,8 @@ def _find_motion(
 
 def _ahead(x: FloatArray, rest: _Rest) -> float:
     """Return by how much the tool goes deeper after a rest [m]."""
-    return float(np.max(x[rest.stop - 1 :])) - rest.level
+    last = rest.stop - 1
+    return float(np.max(x[last:])) - rest.level
 
 
 def _back_from(x: FloatArray, rest: _Rest) -> float:
