@@ -61,7 +61,6 @@ from hapticvision_ros.core.diagnosis.selection import (
     worth,
 )
 from hapticvision_ros.core.diagnosis.structure import describe, Found, look
-from hapticvision_ros.core.diagnosis.structure import GATE as STRUCTURE_GATE
 from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import LAW, without_law
 from hapticvision_ros.core.fit.bend import Corner, Servo, told
@@ -732,9 +731,7 @@ class _Search:
         return tuple(
             found
             for found in look(bench, chosen, self.phases)
-            if found.surprise > STRUCTURE_GATE
-            and found.strength > least
-            and found.share > _LEAST_SHARE
+            if found.beyond_chance and found.strength > least and found.share > _LEAST_SHARE
         )
 
     def _drawn_out(self, bench: Workbench, last: Round) -> None:

@@ -41,6 +41,8 @@ _HATS: Final = 5
 """Corners of the curve over a phase."""
 GATE: Final = 12.0
 """Gain in Schwarz's criterion from which on something is left."""
+SURPRISE: Final = 10.0
+"""Or minus twice the logarithm of the chance that the curves of all trials are as much alike."""
 _BESIDE: Final = 3
 """Steps beside a jump of the force in which nothing is looked for."""
 _UNKNOWN: Final = 2.0
@@ -94,7 +96,7 @@ class Found:
     gain : float
         By how much it lowers the deviance beyond the price of its corners.
     surprise : float
-        That, or what it says against chance that all trials have it alike, if that is more.
+        Minus twice the logarithm of the chance that all trials have it as much alike.
     rms : float
         Its root mean square where it is not zero, in the channel's unit.
     strength : float
@@ -110,6 +112,11 @@ class Found:
     rms: float
     strength: float
     share: float
+
+    @property
+    def beyond_chance(self) -> bool:
+        """Return whether it is no chance that this was left."""
+        return self.gain > GATE or self.surprise > SURPRISE
 
     @property
     def away(self) -> bool:
@@ -133,7 +140,7 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
     Returns
     -------
     tuple of Found
-        Those that gain anything; what gains less than `GATE` may be chance.
+        Those that gain anything, also by chance.
 
     """
     tried = dict[Curve, tuple[list[Columns], Smooth]]()
@@ -159,10 +166,10 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
             break
         smooth = bench.smooth(found, columns, again=True)
         gain = smooth.gain - smooth.count * math.log(bench.samples)
-        surprise = max(gain, alike.get(curve, gain))
-        if surprise > 0.0:
+        surprise = alike.get(curve, 0.0)
+        if max(gain, surprise) > 0.0:
             results.append(_described(bench, found, phases, curve, smooth, gain, surprise))
-    return tuple(sorted(results, key=lambda each: -each.surprise))
+    return tuple(sorted(results, key=lambda each: -max(each.gain, each.surprise)))
 
 
 def _alike(common: Smooth, own: Smooth, curves: int) -> float:

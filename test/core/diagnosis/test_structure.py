@@ -20,7 +20,7 @@ from typing import Any
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Smooth, Workbench
-from hapticvision_ros.core.diagnosis.structure import _alike, _calm, GATE, look
+from hapticvision_ros.core.diagnosis.structure import _alike, _calm, look, SURPRISE
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.records import Signal, Trial
@@ -35,7 +35,7 @@ def away(measured: Any) -> list[str]:
     """Return the sizes of the curves that stand out of the force once the tool is away."""
     bench, base = measured.bench()
     found = look(bench, base, measured.phases)
-    return [each.curve.size for each in found if each.surprise > GATE and each.away]
+    return [each.curve.size for each in found if each.beyond_chance and each.away]
 
 
 @pytest.mark.parametrize('creeps', [False, True])
@@ -110,5 +110,5 @@ def test_curves_of_one_form_are_told_from_slow_noise_of_unknown_size(
         gain = _alike(
             Smooth(alike, corners, (), ()), Smooth(own, trials * corners, (), ()), curves
         )
-        seen.append(gain > GATE)
+        seen.append(gain > SURPRISE)
     assert np.mean(seen) > 0.95 if common else np.mean(seen) < 0.01
