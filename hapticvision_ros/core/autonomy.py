@@ -648,7 +648,7 @@ def look(
         ),
         rest=() if found.unexplained is None else found.unexplained.where,
         trials=len(analysed),
-        kinds=len(conditions([each.segmentation for each in analysed])),
+        kinds=len(conditions([each.segmentation.entire for each in analysed])),
         push=push,
         repeat=_repeat(analysed),
         other=_other(analysed, reach),
@@ -658,7 +658,7 @@ def look(
 
 def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
     """Return the deepest push that is least like those that were made."""
-    made = [(s.push_speed, s.hold_time) for s in (each.segmentation for each in trials)]
+    made = [(s.push_speed, s.hold_time) for s in (each.segmentation.entire for each in trials)]
     middle = math.sqrt(reach.slowest * reach.fastest)
     best, most = None, LIKE
     for hold in (reach.longest_hold, reach.longest_hold / SPREAD):
@@ -687,14 +687,15 @@ def _other(trials: 'Sequence[TrialAnalysis]', reach: 'Reach') -> Push | None:
 
 def _repeat(trials: 'Sequence[TrialAnalysis]') -> Push | None:
     """Return the repeat of the push with the largest force, where scatter stands out most."""
-    whole = [
+    straight = [
         (_peak(each), place, each.segmentation)
         for place, each in enumerate(trials)
-        if each.segmentation.push_speed and each.segmentation.depth
+        # Nothing that goes on at once repeats a push in steps.
+        if each.segmentation.push_speed and each.segmentation.depth and not each.segmentation.whole
     ]
-    if not whole:
+    if not straight:
         return None
-    _, place, phases = max(whole, key=lambda item: item[0])
+    _, place, phases = max(straight, key=lambda item: item[0])
     return Push(
         purpose='repeat',
         push_speed=phases.push_speed or 0.0,

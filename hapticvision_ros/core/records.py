@@ -250,6 +250,14 @@ class Segmentation:
     t_first: float | None = None
 
     @property
+    def in_steps(self) -> tuple[float, ...]:
+        """Return after which times from the touch a tool first rests and has its depth [s]."""
+        if self.t_first is None or self.t_contact is None:
+            return ()
+        deep = next(t for t in (self.t_hold, self.t_release, self.t_end) if t is not None)
+        return self.t_first - self.t_contact, deep - self.t_contact
+
+    @property
     def entire(self) -> 'Segmentation':
         """Return the phases of all of the record: of the `whole`, where that has others."""
         return self.whole or self

@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 from hapticvision_ros.core.autonomy import (
     _other,
+    _repeat,
     Budget,
     Cell,
     decide,
@@ -37,10 +38,11 @@ from hapticvision_ros.core.autonomy import (
 )
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.push_control import expected_duration, PushGoal, PushLimits
-from hapticvision_ros.core.records import Trial
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, run, Sensors
 from hapticvision_ros.sim.campaigns import Push as MadePush
 from hapticvision_ros.sim.specimen import Body, Undeclared
+import numpy as np
 import pytest
 import yaml
 
@@ -147,8 +149,7 @@ def test_the_push_least_like_those_made_repeats_none_until_all_are_made() -> Non
     made, others = [(0.004, 0.006, 2.0)], list[tuple[float, float]]()
     allowed = cell().reach()
     for _ in range(9):
-        phases = [SimpleNamespace(push_speed=v, hold_time=h) for v, _, h in made]
-        trials: Any = [SimpleNamespace(segmentation=each) for each in phases]
+        trials: Any = [SimpleNamespace(segmentation=_phases(*each)) for each in made]
         other = _other(trials, allowed)
         if other is None:
             break
@@ -159,9 +160,31 @@ def test_the_push_least_like_those_made_repeats_none_until_all_are_made() -> Non
 
 
 def test_a_push_without_a_hold_is_like_no_other() -> None:
-    phases = SimpleNamespace(push_speed=0.004, hold_time=-0.01)
-    trials: Any = [SimpleNamespace(segmentation=phases)]
+    trials: Any = [SimpleNamespace(segmentation=_phases(0.004, 0.006, -0.01))]
     assert _other(trials, cell().reach()) is None
+
+
+def test_a_push_in_steps_is_one_to_its_depth_and_repeated_by_none() -> None:
+    whole = replace(_phases(0.004, 0.006, 6.0), t_first=0.5)
+    first = replace(whole, t_hold=0.5, t_release=None, depth=0.002, whole=whole)
+    force = Signal(np.arange(2.0), np.array([0.0, 9.0]))
+    steps = SimpleNamespace(segmentation=first, trial=SimpleNamespace(force=force))
+    weaker = Signal(np.arange(2.0), np.array([0.0, 2.0]))
+    straight = SimpleNamespace(
+        segmentation=_phases(0.004, 0.005, 2.0), trial=SimpleNamespace(force=weaker)
+    )
+    trials: Any = [steps, straight]
+    again = _repeat(trials)
+    assert again is not None
+    assert (again.like, again.depth, again.hold_time) == (1, 0.005, 2.0)
+    assert _repeat(trials[:1]) is None
+    only: Any = [SimpleNamespace(segmentation=_phases(0.004, 0.006, 6.0))]
+    assert _other(trials[:1], cell().reach()) == _other(only, cell().reach())
+
+
+def _phases(speed: float, depth: float, hold: float) -> Segmentation:
+    """Return the phases of a push."""
+    return Segmentation(0.0, 1.0, 1.0 + hold, None, 20.0, 0.04, 0.0, speed, depth)
 
 
 def test_a_push_that_separates_tests_the_effect_that_led_before_it() -> None:

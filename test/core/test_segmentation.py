@@ -557,6 +557,30 @@ def test_of_pushes_that_go_deeper_one_after_another_the_deepest_is_the_push(held
     assert found.whole.depth == pytest.approx(4e-3, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ('lasts', 'levels', 'ends', 'stop'),
+    [
+        ([2, 2, 8, 2, 8, 2, 8, 2, 8, 6], [-2, 2, 2, 4, 4, 6, 6, 8, 8, -4], 12.0, 34.0),
+        ([2, 4, 10, 1, 10, 8], [-2, 4, 4, 5, 5, -4], 16.0, 17.0),
+        ([2, 4, 10, 6, 5, 9, 10, 6], [-2, 4, 4, -2, -2, 5, 5, -5], 16.0, 36.0),
+    ],
+    ids=['even', 'a little deeper', 'out and deeper'],
+)
+def test_the_last_way_to_the_deepest_rest_tells_when_it_begins(
+    lasts: list[float], levels: list[float], ends: float, stop: float
+) -> None:
+    """It has been most of the way down before."""
+    t = np.arange(0.0, sum(lasts) + 6.0, 0.02)
+    x = 1e-3 * np.interp(t, np.cumsum([0.0, *lasts]), [-2.0, *map(float, levels)])
+    force, _ = STANDARD_SOLID.integrate(t, np.maximum(x, 0.0))
+    noisy = force + 1e-3 * np.random.default_rng(5).standard_normal(t.size)
+    found = segment(Signal(t, noisy), Signal(t, 0.05 - x))
+    assert found.t_end == pytest.approx(ends, abs=0.05)
+    assert found.whole is not None
+    assert found.whole.t_hold == pytest.approx(stop, abs=0.05)
+    assert found.whole.t_release == pytest.approx(sum(lasts[:-1]), abs=0.05)
+
+
 def test_online_tells_each_step_of_a_staircase() -> None:
     events, segmenter = run_online(staircase())
     kinds = [event.kind for event in events]

@@ -119,7 +119,7 @@ class Block:
 
 def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
     """
-    Return the trials of each push: same speed, depth and hold.
+    Return the trials of each push: same speed, depth and hold, and steps if there are any.
 
     Parameters
     ----------
@@ -150,7 +150,10 @@ def _alike(one: Segmentation, other: Segmentation) -> bool:
             return False
         if a is not None and abs(a - b) > reach * max(abs(a), abs(b)):
             return False
-    return True
+    steps, others = one.in_steps, other.in_steps
+    return len(steps) == len(others) and all(
+        abs(a - b) <= _SAME['hold_time'] * max(a, b) for a, b in zip(steps, others, strict=True)
+    )
 
 
 def measure(found: Refit, groups: Sequence[Sequence[int]]) -> Scatter | None:

@@ -909,8 +909,9 @@ def _prepare(
     """
     Return one trial, or why it cannot be used.
 
-    A tool that comes again is followed as closely at its later `touches` as at the first. The
-    trial is without the readings at the times `beside`, and without those at the end of the range.
+    A tool that comes again is followed as closely at later `touches` at which the force jumps as
+    at the first. The trial is without the readings at the times `beside`, and without those at
+    the end of the range.
     """
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:

@@ -545,18 +545,18 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
     Returns
     -------
     tuple of (tuple of int)
-        Indices of the trials whose speed and depth are within 10 % of the first one of theirs; a
-        trial whose speed or depth is unknown stands alone. Each trial alone where all would be
-        one condition.
+        Indices of the trials whose speed and depth are within 10 % of the first one of theirs, and
+        the times of their steps, if they have any; a trial whose speed or depth is unknown stands
+        alone. Each trial alone where all would be one condition.
 
     """
     groups: list[list[int]] = []
-    firsts: list[tuple[float, float] | None] = []
+    firsts: list[tuple[float, ...] | None] = []
     for index, (_, phases) in enumerate(pairs_of(campaign)):
         push = (
             None
             if phases.push_speed is None or phases.depth is None
-            else (phases.push_speed, phases.depth)
+            else (phases.push_speed, phases.depth, *phases.in_steps)
         )
         for group, first in zip(groups, firsts, strict=True):
             if push is not None and first is not None and _alike(push, first):
@@ -570,9 +570,9 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(group) for group in groups)
 
 
-def _alike(push: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Return whether speeds and depths are within a tenth of each other."""
-    return all(
+def _alike(push: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Return whether speeds, depths and times are within a tenth of each other."""
+    return len(push) == len(other) and all(
         abs(a - b) <= _ALIKE * max(abs(a), abs(b)) for a, b in zip(push, other, strict=True)
     )
 

@@ -502,14 +502,19 @@ def _find_motion(
     motion = _held(tx, x, hold, t_contact)
     if motion.t_release is None or _ahead(x, hold) <= max(2.0 * band, 0.05 * reach):
         return motion
+    # How it goes on from the first step is told by the way to the next rest.
+    later = next((rest.stop for rest in rests if rest.first >= hold.stop), x.size)
+    t_leave = _held(tx[:later], x[:later], hold, t_contact).t_release or motion.t_release
     deep = [
         rest
         for rest in rests
         if _back_from(x, rest) <= max(2.0 * band, 0.03 * reach)
         and _ahead(x, rest) <= max(2.0 * band, 0.05 * reach)
     ]
-    onward = _held(tx, x, deep[0], t_contact) if deep else _without_hold(tx, x, deepest, band)
-    t_leave = motion.t_release
+    onward = _without_hold(tx, x, deepest, band)
+    if deep:
+        since = max((rest.stop - 1 for rest in rests if rest.stop <= deep[0].first), default=0)
+        onward = _held(tx, x, deep[0], t_contact, since)
     note = (
         f'the tool pushes in steps: the phases are those of the first of {steps} holds, up to the '
         f'next step, at {t_leave:.4g} s; fits of the whole waveform use all of the record'
@@ -528,10 +533,10 @@ def _back_from(x: FloatArray, rest: _Rest) -> float:
     return float(np.max(x[: rest.first + 1])) - rest.level
 
 
-def _held(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> _Motion:
-    """Return how a tool goes on that comes to rest."""
+def _held(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float, since: int = 0) -> _Motion:
+    """Return how a tool goes on that comes to rest, and has rested before up to a sample."""
     left, t_stop = hold.stop, float(tx[-1])
-    t_hold = _fit_hold(tx, x, hold, t_contact)
+    t_hold = _fit_hold(tx, x, hold, t_contact, since)
     if left < x.size and abs(float(x[left]) - hold.level) > 0.0:
         t_leave = fit_start(tx, x, _after(tx, t_hold), left)
         return _Motion(t_hold, t_leave, t_stop, hold.level)
@@ -575,10 +580,17 @@ def _without_hold(tx: FloatArray, x: FloatArray, deepest: int, band: float) -> _
     return _Motion(None, None, t_stop, level, (note,))
 
 
-def _fit_hold(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float) -> float:
+def _fit_hold(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float, since: int) -> float:
     """Return when the tool has come to rest, from the push before `hold` and its first part."""
-    low = int(np.argmax(x >= x[0] + 0.7 * (hold.level - x[0])))
-    low = max(0, min(low, hold.first - 5))
+    if since:
+        # The last way to it, also where the tool was as deep before.
+        stop = hold.first + 1
+        way = x[since:stop]
+        start = float(way.min())
+        low = since + int(np.flatnonzero(way <= start + 0.7 * (hold.level - start))[-1])
+    else:
+        low = int(np.argmax(x >= x[0] + 0.7 * (hold.level - x[0])))
+    low = max(since, min(low, hold.first - 5))
     span = max(hold.first - low, 5)
     last = min(hold.stop, hold.first + 2 * span)
     t = tx[low:last]

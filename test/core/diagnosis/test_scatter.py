@@ -137,6 +137,14 @@ def test_a_push_without_a_release_repeats_only_one_without() -> None:
     assert conditions([]) == []
 
 
+def test_a_push_in_steps_repeats_no_other_than_one_of_the_same_steps() -> None:
+    straight = phases(0.004, 0.006, 10.0)
+    # First rests after 0.5 s and 1 s, of pushes that have their depth after two; and after four.
+    first, again = replace(straight, t_first=1.5), replace(straight, t_first=1.51)
+    other, later = replace(straight, t_first=2.0), replace(first, t_hold=5.0, t_release=15.0)
+    assert conditions([straight, first, again, other, later]) == [[0], [1, 2], [3], [4]]
+
+
 def test_without_repeats_no_scatter_is_measured(noise_only: Any) -> None:
     _, base = noise_only.bench()
     assert measure(base, conditions(noise_only.phases)) is None

@@ -247,6 +247,10 @@ def test_pushes_within_a_tenth_in_speed_and_depth_are_one_condition() -> None:
 
 def test_repeats_of_one_push_are_left_out_one_by_one() -> None:
     assert conditions([_push(5.0, 5.0)] * 3) == ((0,), (1,), (2,))
+    # Nor is a push in steps one that goes on at once.
+    trial, straight = _push(5.0, 5.0)
+    step = replace(straight, t_contact=1.0, t_first=1.5, t_hold=3.0)
+    assert conditions([(trial, straight), (trial, step), (trial, step)]) == ((0,), (1, 2))
     assert labels([_push(5.0, 5.0)] * 3) == ('a', 'a (2)', 'a (3)')
 
 
