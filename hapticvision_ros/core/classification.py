@@ -330,7 +330,7 @@ def _polished(
 def _free_height(trial: Trial, phases: Segmentation) -> tuple[Signal | None, str]:
     """Return the height from the loss of contact on, or None and why there is none."""
     if phases.t_release is None:
-        return None, 'the trial has no release'
+        return None, phases.unreleased
     height = trial.displacement_height
     if height is None:
         return None, 'the displacement height was not recorded'

@@ -250,6 +250,13 @@ class Segmentation:
     t_first: float | None = None
 
     @property
+    def unreleased(self) -> str:
+        """Return what to say of phases without a release."""
+        if self.whole is None:
+            return 'the trial has no release'
+        return 'the first step of a push in steps has no release'
+
+    @property
     def in_steps(self) -> tuple[float, ...]:
         """Return after which times from the touch a tool first rests and has its depth [s]."""
         if self.t_first is None or self.t_contact is None:

@@ -536,6 +536,8 @@ def test_of_a_staircase_the_first_step_is_taken_and_all_of_it_is_known() -> None
     assert found.whole.t_release is found.whole.t_loss is found.whole.whole is None
     assert found.whole.depth == pytest.approx(6e-3, rel=1e-3)
     assert (found.whole.push_speed, found.whole.t_first) == (found.push_speed, found.t_hold)
+    assert 'first step' in found.unreleased
+    assert 'first step' not in found.whole.unreleased
     assert not any('steps' in warning for warning in found.whole.warnings)
 
 

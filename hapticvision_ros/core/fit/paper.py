@@ -355,7 +355,7 @@ def _fit_recovery(trial: Trial, segmentation: Segmentation, noise: Estimate) -> 
     height = trial.displacement_height
     released = segmentation.t_release
     if released is None:
-        return _unknown_decay('the trial has no release')
+        return _unknown_decay(segmentation.unreleased)
     if height is None:
         return _unknown_decay('the displacement height was not recorded')
     start, caution = start_of_recovery(trial, segmentation, released)
