@@ -747,19 +747,19 @@ def prepare(
     first = min((trial.start_ns for trial, _ in trials), default=0)
     if isinstance(servo, EllipsisType):
         servo = arm_of(trials)[0]
+    touches = [_touches(trial.force, phases) for trial, phases in trials]
     if momentary is None:
-        momentary = reads_at_moments(trials)
+        momentary = _at_moments(touches)
     forces = [_without_spikes(trial) for trial, _ in trials]
     range_end = min(range_end, end_of_range(forces))
-    for (trial, phases), force in zip(trials, forces, strict=True):
-        touches = _touches(trial.force, phases)[0]
-        beside = touches if momentary else np.empty(0)
+    for (trial, phases), force, (touched, _) in zip(trials, forces, touches, strict=True):
+        beside = touched if momentary else np.empty(0)
         later = (trial.start_ns - first) * 1e-9
         ends = range_end
         if math.isinf(ends) or force.max() > ends:
             # One trial may have been read through another range.
             ends = end_of_range([force])
-        made = _prepare(trial, phases, later, windows, servo, touches, beside, ends)
+        made = _prepare(trial, phases, later, windows, servo, touched, beside, ends)
         # What no model is fitted to has been pushed as well.
         depth = phases.depth if isinstance(made, str) else made.depth
         pushes.append((later, depth or 0.0))
@@ -1027,7 +1027,12 @@ def reads_at_moments(trials: Sequence[tuple[Trial, Segmentation]]) -> bool:
         Whether the clear touches of the trials tell that.
 
     """
-    told = [whole for trial, phases in trials for whole in _touches(trial.force, phases)[1]]
+    return _at_moments([_touches(trial.force, phases) for trial, phases in trials])
+
+
+def _at_moments(touches: Sequence[tuple[FloatArray, list[bool]]]) -> bool:
+    """Return the same of the touches of the trials."""
+    told = [whole for _, each in touches for whole in each]
     evidence = float(np.log(_WHOLE) @ (sum(told), len(told) - sum(told)))
     return evidence > _CERTAIN
 

@@ -482,14 +482,23 @@ def _find_motion(
     last = deepest + int(back[0]) + 1 if back.size else x.size
     rests = _find_rests(tx[:last], x[:last], band, options)
     rests = [r for r in rests if r.level - x_contact > 0.05 * reach]
+
+    def was_deeper(rest: _Rest) -> bool:
+        before = rest.first + 1
+        return float(np.max(x[:before])) - rest.level > max(2.0 * band, 0.03 * reach)
+
+    def goes_deeper(rest: _Rest) -> bool:
+        after = rest.stop - 1
+        return float(np.max(x[after:])) - rest.level > max(2.0 * band, 0.05 * reach)
+
     hold: _Rest | None = None
     steps = 0
     for rest in rests:
         pushed = float(tx[rest.first]) - t_contact
         lasted = float(tx[rest.stop - 1] - tx[rest.first])
-        if _back_from(x, rest) > max(2.0 * band, 0.03 * reach):
+        if was_deeper(rest):
             break
-        goes_on = _ahead(x, rest) > max(2.0 * band, 0.05 * reach)
+        goes_on = goes_deeper(rest)
         if goes_on and lasted < 0.2 * pushed:
             continue
         steps += 1
@@ -500,37 +509,22 @@ def _find_motion(
     if hold is None:
         return _without_hold(tx, x, deepest, band)
     motion = _held(tx, x, hold, t_contact)
-    if motion.t_release is None or _ahead(x, hold) <= max(2.0 * band, 0.05 * reach):
+    if motion.t_release is None or not goes_deeper(hold):
         return motion
     # How it goes on from the first step is told by the way to the next rest.
     later = next((rest.stop for rest in rests if rest.first >= hold.stop), x.size)
     t_leave = _held(tx[:later], x[:later], hold, t_contact).t_release or motion.t_release
-    deep = [
-        rest
-        for rest in rests
-        if _back_from(x, rest) <= max(2.0 * band, 0.03 * reach)
-        and _ahead(x, rest) <= max(2.0 * band, 0.05 * reach)
-    ]
-    onward = _without_hold(tx, x, deepest, band)
-    if deep:
-        since = max((rest.stop - 1 for rest in rests if rest.stop <= deep[0].first), default=0)
-        onward = _held(tx, x, deep[0], t_contact, since)
+    deep = next((rest for rest in rests if not (was_deeper(rest) or goes_deeper(rest))), None)
+    if deep is None:
+        onward = _without_hold(tx, x, deepest, band)
+    else:
+        since = max((rest.stop - 1 for rest in rests if rest.stop <= deep.first), default=0)
+        onward = _held(tx, x, deep, t_contact, since)
     note = (
         f'the tool pushes in steps: the phases are those of the first of {steps} holds, up to the '
         f'next step, at {t_leave:.4g} s; fits of the whole waveform use all of the record'
     )
     return replace(motion, t_release=None, t_stop=t_leave, notes=(note,), onward=onward)
-
-
-def _ahead(x: FloatArray, rest: _Rest) -> float:
-    """Return by how much the tool goes deeper after a rest [m]."""
-    last = rest.stop - 1
-    return float(np.max(x[last:])) - rest.level
-
-
-def _back_from(x: FloatArray, rest: _Rest) -> float:
-    """Return by how much the tool was deeper before a rest [m]."""
-    return float(np.max(x[: rest.first + 1])) - rest.level
 
 
 def _held(tx: FloatArray, x: FloatArray, hold: _Rest, t_contact: float, since: int = 0) -> _Motion:
