@@ -533,10 +533,22 @@ class FitTrial:
         first = int(np.searchsorted(self.t, self.t_contact, side='right')) - 1
         steps = slice(max(first, 0), max(deepest, first, 0))
         way = float(self.displacement[steps.stop] - self.displacement[steps.start])
-        seen = (self.t[steps.stop] - self.t[steps.start]) / max(self.path.interval, 1e-300)
+        return steps, self._slope_error(way, float(self.t[steps.stop] - self.t[steps.start]))
+
+    @property
+    def best_pushed(self) -> float:
+        """Return how well the speed of the longest way between two stops is known, relatively."""
+        ends = np.array([self.t_contact, *self.stops])
+        ways = np.abs(np.diff(np.interp(ends, self.t, self.displacement)))
+        longest = int(np.argmax(ways))
+        return self._slope_error(float(ways[longest]), float(np.diff(ends)[longest]))
+
+    def _slope_error(self, way: float, lasted: float) -> float:
+        """Return the relative error of the slope of a line through the encoders' samples."""
+        seen = lasted / max(self.path.interval, 1e-300)
         if way <= 0.0 or seen < 1.0:
-            return steps, 0.0
-        return steps, math.sqrt(12.0 / seen) * self.path.noise / way
+            return 0.0
+        return math.sqrt(12.0 / seen) * self.path.noise / way
 
     @property
     def _pushed_to(self) -> float:
@@ -2473,7 +2485,7 @@ def _unknown_way(trial: Trial, made: FitTrial) -> str | None:
     # A load cell that tells only steps has no noise at rest.
     noise = max(float(made.samples.force[:before].std()), QUIETEST * made.peak_force)
     share = error * made.peak_force / noise
-    if share < _SWAMPED:
+    if share < _SWAMPED or (made.t_first is not None and made.best_pushed < _UNSURE):
         return None
     return (
         f'the push took {1e3 * (made.t[push.stop] - made.t[push.start]):.0f} ms, with a tool '

@@ -484,6 +484,28 @@ def test_a_push_whose_speed_swamps_the_noise_of_its_force_is_left_out() -> None:
             assert 1.0 < share < 200.0
 
 
+@pytest.mark.parametrize(('second', 'deeper'), [(0.0257, 0.003), (0.002, 0.006)])
+def test_a_push_in_steps_is_as_well_known_as_its_longest_way(second: float, deeper: float) -> None:
+    """A first step of some samples of the encoders, and a second one as quick, or slow."""
+    random = np.random.default_rng(6)
+    t = np.arange(0.007, 20.0, 0.02)
+    moments = t + 2e-3 * random.standard_normal(t.size)
+    way = _stopping(moments, 0.0257, 0.0044)
+    way += second * np.clip(moments - 5.0, 0.0, deeper / second)
+    way -= 0.02 * np.maximum(moments - 13.0, 0.0)
+    heights = Signal(t, 0.04 - way - 1e-6 * random.standard_normal(t.size))
+    steps = replace(_quick('steps', 0.005, 0.007), tool_height=heights)
+    first = 0.95 + 0.0044 / 0.0257
+    phases = replace(PHASES, t_contact=0.95, t_first=first, t_hold=5.0 + deeper / second)
+    loud = _quick('loud', 0.5, 0.007)
+    (_, made), told = prepare([(loud, replace(PHASES, t_contact=0.95)), (steps, phases)])
+    if second == 0.0257:
+        assert made is None and 'its speed is known to' in told[0]
+    else:
+        assert made is not None and told == ()
+        assert made.pushed[1] > 0.005 > 3.0 * made.best_pushed
+
+
 def test_a_planned_push_is_seen_by_the_same_encoders() -> None:
     (made,), _ = prepare([(_trial(), PHASES)])
     assert made is not None
