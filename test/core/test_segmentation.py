@@ -553,6 +553,7 @@ def test_of_pushes_that_go_deeper_one_after_another_the_deepest_is_the_push(held
     found = segment(Signal(t, noisy), Signal(t, 0.05 - x))
     assert found.t_hold == pytest.approx(6.0, abs=0.01)
     assert found.t_end == pytest.approx(16.0, abs=0.02)
+    assert any('those of the first hold, up' in warning for warning in found.warnings)
     assert found.whole is not None
     assert found.whole.t_hold == (pytest.approx(32.0, abs=0.01) if held else None)
     assert found.whole.t_release == pytest.approx(32.0 + hold, abs=0.02)

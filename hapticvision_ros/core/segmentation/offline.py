@@ -520,8 +520,9 @@ def _find_motion(
     else:
         since = max((rest.stop - 1 for rest in rests if rest.stop <= deep.first), default=0)
         onward = _held(tx, x, deep, t_contact, since)
+    which = f'first of {steps} holds' if steps > 1 else 'first hold'
     note = (
-        f'the tool pushes in steps: the phases are those of the first of {steps} holds, up to the '
+        f'the tool pushes in steps: the phases are those of the {which}, up to the '
         f'next step, at {t_leave:.4g} s; fits of the whole waveform use all of the record'
     )
     return replace(motion, t_release=None, t_stop=t_leave, notes=(note,), onward=onward)
