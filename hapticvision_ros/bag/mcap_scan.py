@@ -441,7 +441,7 @@ class McapScanner:
     def _tell_damage(self) -> None:
         if self._damaged_chunks:
             self.faults.append(
-                f'{self.path.name} has {len(self._damaged_chunks)} chunks that cannot be read '
+                f'{len(self._damaged_chunks)} of the chunks of {self.path.name} cannot be read '
                 f'(the first: {self._damaged_chunks[0]}): their messages are missing'
             )
         if self._damaged_records:

@@ -18,6 +18,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from io import TextIOWrapper
 import os
 import sys
 from typing import Final, NoReturn, Protocol, TextIO
@@ -67,6 +68,10 @@ class Parser(argparse.ArgumentParser):
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code, unless it is interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            # A terminal that knows no ± still shows the rest.
+            stream.reconfigure(errors='replace')
     try:
         code = _run(arguments)
         sys.stdout.flush()
@@ -79,6 +84,13 @@ def run(arguments: Sequence[str]) -> int:
         # The reader of our output has left, as `head` does; nothing is wrong here.
         _silence(sys.stdout)
         return 0
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # A full disk behind our output, say.
+        _silence(sys.stdout)
+        print(f'hapticvision: the output cannot be written ({error.strerror}).', file=sys.stderr)
+        return UsageError.exit_code
 
 
 def _run(arguments: Sequence[str]) -> int:

@@ -298,12 +298,20 @@ def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':
 
     analyses, complaints = [], []
     names: set[str] = set()
+    seen: dict[tuple[int, bytes, bytes], Path] = {}
     for bag in bags:
         try:
             trial = read_trial(bag)
         except InputError as error:
             complaints.append(str(error).rstrip('.'))
             continue
+        recording = (trial.start_ns, trial.force.t.tobytes(), trial.force.value.tobytes())
+        if recording in seen:
+            complaints.append(
+                f'{bag} holds the same recording as {seen[recording]}: name each recording once'
+            )
+            continue
+        seen[recording] = bag
         if trial.name in names:
             # Monday's first take and Tuesday's: results and warnings go by the name.
             trial = replace(trial, name=str(bag))

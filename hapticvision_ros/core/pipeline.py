@@ -23,6 +23,7 @@ imported in its functions, since the fitter node starts with this module.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+import math
 from types import MappingProxyType
 from typing import Final, Literal, TYPE_CHECKING
 
@@ -34,7 +35,7 @@ from hapticvision_ros.core.segmentation import segment
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
-    from hapticvision_ros.core.diagnosis.records import Diagnosis, HeldOutChange, Misfits
+    from hapticvision_ros.core.diagnosis.records import Channel, Diagnosis, HeldOutChange, Misfits
     from hapticvision_ros.core.fit.campaign import Fit, TrialFit
     from hapticvision_ros.core.fit.held_out import Unseen
 
@@ -45,6 +46,11 @@ type HeldOutBy = Literal['name', 'condition']
 """Whether trials were named to be held out, or each condition of the push was left out in turn."""
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
+_BY_CHANCE: Final = 2.0
+_NO_RISE: Final = 1.01
+"""Standard errors, and of a single trial the ratio, up to which held-out squares may rise."""
+_UNSEEN: Final = 2.0
+"""Mean squares of unseen samples over those of fitted ones from which on a reader is told."""
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -332,7 +338,9 @@ def _compared(
     change = held_out_change(*unseen) if len(unseen) > 1 else None
     if diagnosis is not None and after is not None and change is not None:
         names = ', '.join(diagnosis.effects)
-        if change.change > change.std:
+        # Of a single trial nothing tells by how much the squares differ by chance.
+        rises = change.change > _BY_CHANCE * change.std
+        if rises and (change.std > 0.0 or change.ratio > _NO_RISE):
             told.append(
                 f'a contradiction: {names} explains the fitted trials, yet on unseen ones the '
                 f'squares grow by a factor of {change.ratio:.3g}'
@@ -352,6 +360,8 @@ def _compared(
         )
         for index, (one, beside) in enumerate(zip(fits, seen, strict=True))
     ]
+    if diagnosis is not None:
+        told += _worse_unseen(models[-1], held_out)
     return CampaignAnalysis(
         trials=tuple(trials),
         held_out=tuple(held_out),
@@ -363,6 +373,34 @@ def _compared(
         change=change,
         warnings=tuple(dict.fromkeys((*told, *_of_models(fits)))),
     )
+
+
+def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> list[str]:
+    """Return which channels the model misses by far more where it has not seen the trials."""
+    if model.train is None or model.held_out is None:
+        return []
+    told = []
+    channels: tuple[tuple[Channel, str], ...]
+    channels = (('force', 'force'), ('height', 'displacement height'))
+    for channel, name in channels:
+        seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
+        if seen is None or left_out is None or seen.chi2 is None or left_out.chi2 is None:
+            continue
+        fitted, unseen = seen.chi2, left_out.chi2
+        if unseen < _UNSEEN * max(fitted, 1.0):
+            continue
+        where = (
+            f'the trials held out ({", ".join(one.trial.name for one in held_out)})'
+            if held_out
+            else 'conditions that it has not seen'
+        )
+        told.append(
+            f'a contradiction: on {where} the {model.model.name} model misses the {name} by '
+            f'{math.sqrt(unseen):.3g} times its noise, and by {math.sqrt(fitted):.3g} times where '
+            'it was fitted: they are of another object or way to push, or what acts there does '
+            'not show in the fitted ones'
+        )
+    return told
 
 
 def _of_models(fits: 'Sequence[Fit]') -> list[str]:

@@ -222,7 +222,7 @@ def test_every_bag_that_cannot_be_analysed_is_named(
                     writer.write_float64(topic, stamp, 0.01)
     assert _fit(short[0], SLOW, '--hold-out', short[1], '--out', tmp_path / 'out') == 2
     (error,) = capsys.readouterr().err.splitlines()
-    assert all(f'{bag}: the force has 5 samples, too few' in error for bag in short)
+    assert all(f'{bag}: the force has too few samples (5)' in error for bag in short)
     assert not (tmp_path / 'out').exists()
 
 

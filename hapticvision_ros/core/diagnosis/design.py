@@ -64,6 +64,8 @@ _UNLIKELY: Final = 1e-3
 """A model that is less likely to be the right one is not asked."""
 _HARDLY: Final = 2.0
 """Standard deviations below which a push does not tell two effects apart."""
+_LITTLE: Final = 1.02
+"""Gain in a parameter's standard error below which a push is not worth its while."""
 _PASSES: Final = 0.01
 """Squares of a miss, over the samples, from which on a part of it passes for noise."""
 
@@ -174,7 +176,7 @@ def suggest(
             for squares, plan in _apart(bench, first, second, plans, usual, workers)
         ]
     score, gain, best = max(worth, key=lambda each: each[0])
-    if score <= 0.0:
+    if score <= 0.0 or (second is None and gain < _LITTLE):
         return None
     if second is None:
         separates: tuple[str, ...] = (name,)

@@ -24,7 +24,7 @@ there.
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from hapticvision_ros.core.diagnosis.refit import Refit
 from hapticvision_ros.core.fit.campaign import calm, height_blocks, quietest, without_contact
@@ -44,6 +44,8 @@ from numpy.typing import NDArray
 
 _FEWEST: Final = 64
 """Samples without contact, in all trials together, that tell the noise."""
+_OWN: Final = 16
+"""Those of one trial from which on it may be noisier than the others."""
 _FEW: Final = 32
 """Samples in contact, of a trial or of all together, that tell how loud it is."""
 _NEAR: Final = 4.0
@@ -76,6 +78,10 @@ At these the tool's own way may be off for a moment, which a fit takes for slow 
 """
 _OUTLYING: Final = 6.0
 """Residual over the noise from which on a sample that was set aside is still astray."""
+_LONGEST_GLITCH: Final = 0.05
+"""Time that a glitch of a load cell lasts at most [s]."""
+_LARGEST: Final = 1e100
+"""Residual that is counted at most, whose square is a number [N]."""
 _FEWEST_BURSTS: Final = 6
 _CHANCE: Final = 1e-6
 """Bursts in one phase, and the probability of so many there, if they came at any time."""
@@ -156,6 +162,42 @@ class Bursts:
 
 
 @dataclass(frozen=True, slots=True)
+class Stretch:
+    """
+    Where the force stands off the model at once, for longer than a glitch, and comes back so.
+
+    Parameters
+    ----------
+    phase : {'push', 'hold'}
+        Where.
+    trials : tuple of str
+        In which trials.
+    longest : float
+        How long it lasts at most [s].
+    rms : float
+        Root mean square of what the samples there are off by [N].
+    share : float
+        Their squares over those of the noise of all samples.
+
+    """
+
+    phase: Literal['push', 'hold']
+    trials: tuple[str, ...]
+    longest: float
+    rms: float
+    share: float
+
+    def __str__(self) -> str:
+        """Return what was found as a sentence."""
+        more = '' if len(self.trials) == 1 else f' and {len(self.trials) - 1} more'
+        return (
+            f'force, {self.phase}: from one sample to the next it stands off by {self.rms:.3g} N '
+            f'rms, for up to {self.longest:.2g} s, in {self.trials[0]}{more}, which is no glitch '
+            'of a load cell; the samples were set aside'
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Ended:
     """
     Readings at which the range of the load cell has ended.
@@ -219,9 +261,9 @@ def ended(found: Refit) -> Ended | None:
     return Ended(count, total, math.sqrt(squares / count), share)
 
 
-def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:
+def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | Stretch | None:
     """
-    Return the bursts that samples which were set aside make of one phase.
+    Return what samples which were set aside make of one phase: bursts, or a whole stretch.
 
     Parameters
     ----------
@@ -232,13 +274,14 @@ def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:
 
     Returns
     -------
-    Bursts or None
+    Bursts, Stretch or None
         None where such samples are few, or come at any time.
 
     """
     from scipy.special import bdtrc
 
     parts: dict[Literal['push', 'hold'], list[tuple[int, int, float]]] = {'push': [], 'hold': []}
+    stretches: dict[Literal['push', 'hold'], list[_Run]] = {'push': [], 'hold': []}
     total = count = 0
     problem, noise = found.problem, found.force_noise.std
     for index, (trial, phase) in enumerate(zip(problem.trials, phases, strict=True)):
@@ -260,9 +303,22 @@ def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | None:
         }
         for name, (first, last) in bounds.items():
             inside = taken & (full.middle > first) & (full.middle < last)
-            squares = float(np.sum(residual[astray & inside] ** 2))
+            # A reading may be the largest number that there is.
+            loud = np.minimum(np.abs(residual[astray & inside]), _LARGEST)
+            squares = float(np.sum(loud**2))
             parts[name].append(
                 (int(np.count_nonzero(inside[starts])), int(np.count_nonzero(inside)), squares)
+            )
+            stretches[name] += _long_runs(full, residual, astray & inside, float(predicted.max()))
+    for name, found_runs in stretches.items():
+        if found_runs:
+            squares, samples = sum(r.squares for r in found_runs), sum(r.size for r in found_runs)
+            return Stretch(
+                name,
+                tuple(dict.fromkeys(r.trial for r in found_runs)),
+                max(r.lasts for r in found_runs),
+                math.sqrt(squares / samples),
+                squares / (count * noise**2),
             )
     best: Bursts | None = None
     for name, each in parts.items():
@@ -345,6 +401,31 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
         ),
     )
     return tuple(each for each in held if each is not None)
+
+
+class _Run(NamedTuple):
+    """A run of samples that stand off: where, how many, their squares [N^2], how long [s]."""
+
+    trial: str
+    size: int
+    squares: float
+    lasts: float
+
+
+def _long_runs(
+    full: FitTrial, residual: FloatArray, astray: NDArray[np.bool_], largest: float
+) -> list[_Run]:
+    """Return the runs that last for longer than a glitch, of a load cell that goes on reading."""
+    made = []
+    for first, last in runs(astray):
+        lasts = float(full.middle[last - 1] - full.middle[first])
+        off, read = residual[first:last], full.force[first:last]
+        # A cell that hangs, or tells more than any force of the push, has failed.
+        if last - first < _FEWEST_BURSTS or lasts < _LONGEST_GLITCH or np.ptp(read) == 0.0:
+            continue
+        if float(np.median(np.abs(off))) < largest:
+            made.append(_Run(full.name, off.size, float(off @ off), lasts))
+    return made
 
 
 def _before(trial: FitTrial, first: float) -> float:
@@ -451,11 +532,21 @@ def _held(
     ratios = []
     # One sample that is astray is no trial that is louder.
     known = [each for each in parts if each[2].size >= _FEW]
-    for name, _, loud in known or [each for each in parts if each[2].size]:
-        error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
-        ratios.append((math.sqrt(float(np.mean(loud**2))) / noise, name, error))
+    squares = 0.0
+    for name, silent, loud in parts:
+        if not loud.size:
+            continue
+        own = noise
+        if silent.size >= _OWN:
+            # A sensor may be noisier in one trial, in the air as well.
+            error = _SIGMAS * math.sqrt(0.5 * alike / silent.size)
+            own = max(noise, math.sqrt(float(np.mean(silent**2))) * (1.0 - error))
+        squares += float(loud @ loud) / own**2
+        if loud.size >= _FEW or not known:
+            error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
+            ratios.append((math.sqrt(float(np.mean(loud**2))) / own, name, error))
     worst, name, error = max(ratios)
-    ratio = math.sqrt(float(np.mean(whole**2))) / noise
+    ratio = math.sqrt(squares / whole.size)
     unsure_whole = math.hypot(unsure, _SIGMAS * math.sqrt(0.5 * alike / whole.size))
     quieter = ratio < _LOUD + (unsure if known else unsure_whole)
     quieter &= not known or worst < _LOUD_TRIAL + math.hypot(unsure, error)

@@ -30,7 +30,15 @@ from typing import Final
 from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
-from hapticvision_ros.core.diagnosis.excess import Bursts, bursts, Ended, ended, Excess, louder
+from hapticvision_ros.core.diagnosis.excess import (
+    Bursts,
+    bursts,
+    Ended,
+    ended,
+    Excess,
+    louder,
+    Stretch,
+)
 from hapticvision_ros.core.diagnosis.likeness import change, left_out, pairs, Tangent, visible
 from hapticvision_ros.core.diagnosis.records import (
     Candidate,
@@ -95,6 +103,8 @@ _WORSE: Final = 2
 """So many larger ones that are all less likely than a smaller one end the search."""
 _TOO_MUCH: Final = 0.05
 """Scatter without repeats from which on the trials differ by more than specimens of a kind do."""
+_OTHER_OBJECTS: Final = 0.2
+"""Scatter of repeats from which on they are of more than one object, or change by an effect."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
 _OPEN: Final = 0.7
@@ -537,7 +547,8 @@ class _Search:
         changed = None
         if scatter is not None and scatter.block is not None:
             changed = self._changed(bench, base, chosen, scatter.block, unexplained)
-        elif unrepeated is not None:
+        elif unrepeated is not None or any(without_law(name) == _AGEING for name in order):
+            # What changes at once passes for a steady change where nothing tells when it did.
             changed = self._changed(bench, base, chosen, None, unexplained)
         if changed is not None:
             status = 'partly_explained' if order else 'unexplained'
@@ -547,15 +558,23 @@ class _Search:
             status = 'partly_explained' if order else 'unexplained'
             if unexplained is None:
                 unexplained = self._differing(bench, plain, base, chosen, unrepeated)
+        if scatter is not None and scatter.std.max() >= _OTHER_OBJECTS:
+            # So much is no scatter of one object, whatever repeats say of it.
+            status = 'partly_explained' if order else 'unexplained'
+            if unexplained is None:
+                size = float(scatter.std.max())
+                unexplained = self._differing(bench, plain, base, chosen, size)
         alike = pairs(bench, base, rounds[0].candidates, order)
+        not_testable = (*(n for n in hidden if n not in _named(order)), LOAD_CELL_GAIN)
         return _Outcome(
             status=status,
             effects=_named(order),
             sets=tuple(map(_named, named)),
-            not_testable=(*(n for n in hidden if n not in _named(order)), LOAD_CELL_GAIN),
+            not_testable=not_testable,
             laws=tuple(name for name in order if LAW in name),
             look_alikes=_named_pairs(alike),
-            ranking=ranking,
+            # By another law than the usual one these can be shown, but do not lead.
+            ranking=tuple(each for each in ranking if each.effect not in not_testable),
             unexplained=unexplained,
             next_trial=self._next(bench, chosen, rounds, order),
             warnings=tuple(self.warnings),
@@ -595,6 +614,7 @@ class _Search:
         if few and scatter.cautious.any() and _AGEING in names:
             scatter = self._steady(bench, base, scatter)
         if scatter.std.any():
+            harmless = scatter.block is None and scatter.std.max() < _OTHER_OBJECTS
             sizes = ', '.join(
                 f'{100.0 * size:.2g} % in {name}'
                 for size, name in zip(scatter.std, base.model.names, strict=True)
@@ -602,7 +622,7 @@ class _Search:
             self.warnings.append(
                 f'repeats of the same push scatter by {sizes} ({scatter.degrees} differences '
                 f'between repeats): a nuisance that is allowed for'
-                + (' and no effect' if scatter.block is None else '')
+                + (' and no effect' if harmless else '')
             )
         return scatter
 
@@ -825,7 +845,7 @@ class _Search:
         bench: Workbench,
         base: Refit,
         chosen: Refit,
-        left: Bursts | Ended,
+        left: Bursts | Stretch | Ended,
         other: Unexplained | None,
     ) -> Unexplained:
         """Return what is left in samples that no model is fitted to."""
@@ -846,9 +866,11 @@ class _Search:
         """
         Return what is left where some trials differ from all others; None if it is little.
 
-        If repeats do not show these, all trials are looked at as if they were of one push.
+        If repeats do not show these, all trials are looked at as if they were of one push, without
+        a steady change.
         """
-        alike = Workbench(bench.trials, None, bench.memory).refit(chosen.model, chosen)
+        kept = [name for name in chosen.model.effects if without_law(name) != _AGEING]
+        alike = Workbench(bench.trials, None, bench.memory).refit(Model(tuple(kept)), chosen)
         if alike is None:
             return None
         block = apart(alike) if repeated is None else repeated

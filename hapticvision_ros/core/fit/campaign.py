@@ -153,12 +153,34 @@ _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
+_LOST: Final = 4.0
+"""Misfit over the noise from which on the base model may be in a wrong valley."""
+_HOPS: Final = 4
+_BESIDE: Final = tuple(
+    np.array(factors)
+    for factors in (
+        (1.0, 1.0, 3.0),
+        (1.0, 0.3, 1.0),
+        (0.3, 1.0, 1.0),
+        (0.3, 0.3, 0.3),
+        (3.0, 3.0, 3.0),
+        (1.0, 3.0, 1.0),
+        (3.0, 1.0, 1.0),
+        (1.0, 1.0, 0.3),
+    )
+)
+_NEARER: Final = 0.9
+"""Rounds, factors of K1, C1 and C2 that are tried beside the best, and what makes it worth one."""
+_NAMED: Final = 3
+"""Samples set aside whose times are told."""
 _NEIGHBOURS: Final = 64
 """Places of a spectrum whose median is what noise makes there."""
 _LEVELS: Final = 3
 """Looks for a pull, each at half of what the one before has told."""
 _LAST_HELD: Final = 6
 """Heights before a pull ends that tell where the surface is then."""
+_AS_QUICK: Final = 1.01
+"""Sampling interval over the shortest of a campaign up to which spectra are added up."""
 _TURNS: Final = 5
 """Periods in a trial below which a line is none: anything smooth has such."""
 _FEWEST_HEIGHTS: Final = 8
@@ -1591,26 +1613,31 @@ def _search(
         starts.append(slow)
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})
-    ends = []
-    for each in starts:
-        state = np.zeros(problem.size)
-        state[:3] = base.theta(list(each.values()))
-        for _ in range(2):
-            find_onsets(problem, state)
-            # Where the force jumps depends on the onsets.
-            problem.set_noise(force_noise, height_noise, problem.unsure(state))
-            state = problem.search(state, tolerance=1e-4).theta
-        problem.set_noise(force_noise, height_noise, problem.unsure(state))
-        residual, _ = problem.evaluate(state)
-        ends.append((float(residual @ residual) + problem.log_determinant, state))
-    # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
-    ends.sort(key=lambda end: end[0])
-    state = ends[0][1]
+    ends = [_ended(problem, each, force_noise, height_noise) for each in starts]
+    samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in trials)
+    for _ in range(_HOPS):
+        # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
+        ends.sort(key=lambda end: end.deviance)
+        if ends[0].squares < _LOST**2 * samples:
+            break
+        # So may any where a tool goes to and fro: others beside the best are looked at.
+        nearby = base.values(ends[0].state[:3])
+        others = [
+            _ended(
+                problem, dict(zip(values, nearby * beside, strict=True)), force_noise, height_noise
+            )
+            for beside in _BESIDE
+        ]
+        nearest = min(others, key=lambda end: end.deviance)
+        if nearest.squares > _NEARER * ends[0].squares:
+            break
+        ends = [nearest]
+    state = ends[0].state
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
     K1, C1, C2 = base.values(state[:3]).tolist()
     shown = {'K1': K1, 'C1': C1, 'C2': C2}
     if not model.effects:
-        return problem, [each for _, each in ends], shown
+        return problem, [end.state for end in ends], shown
     scale = scale_of(problem, state, K1, C1, C2)
     whole = Problem(model, trials)
     whole.set_noise(force_noise, height_noise, problem.unsure(state))
@@ -1642,6 +1669,34 @@ def _search(
     moved = whole.search(again, tolerance=1e-4, max_evaluations=_STEPS)
     state = min((best, moved), key=lambda found: found.cost).theta
     return whole, [state], shown
+
+
+class _Valley(NamedTuple):
+    """Where a first search has ended: its squares, with those of the noise, and the state."""
+
+    squares: float
+    deviance: float
+    state: FloatArray
+
+
+def _ended(
+    problem: Problem,
+    values: Mapping[str, float],
+    force_noise: SensorNoise,
+    height_noise: SensorNoise,
+) -> _Valley:
+    """Return where a search of the base model with white noise ends."""
+    state = np.zeros(problem.size)
+    state[:3] = problem.model.theta(list(values.values()))
+    for _ in range(2):
+        find_onsets(problem, state)
+        # Where the force jumps depends on the onsets.
+        problem.set_noise(force_noise, height_noise, problem.unsure(state))
+        state = problem.search(state, tolerance=1e-4).theta
+    problem.set_noise(force_noise, height_noise, problem.unsure(state))
+    residual, _ = problem.evaluate(state)
+    squares = float(residual @ residual)
+    return _Valley(squares, squares + problem.log_determinant, state)
 
 
 def slow_body(trials: Sequence[FitTrial], body: Mapping[str, float]) -> dict[str, float] | None:
@@ -1906,16 +1961,18 @@ class Line:
 
 
 def line_spectrum(problem: Problem, state: FloatArray) -> Line:
-    """Return the strongest line in the residual force of all trials."""
+    """Return the strongest line in the residual force of the trials of the highest rate."""
     from scipy.special import gammaincc, gammaincinv
 
     total = np.empty(0)
-    interval = problem.trials[0].interval
-    shortest = min(float(trial.t[-1] - trial.t[0]) for trial in problem.trials)
+    # Slower trials show a line that is too quick for them elsewhere, with phases that are lost.
+    interval = min(trial.interval for trial in problem.trials)
+    quick = [k for k, t in enumerate(problem.trials) if t.interval < _AS_QUICK * interval]
+    shortest = min(float(problem.trials[k].t[-1] - problem.trials[k].t[0]) for k in quick)
     length = _quick_length(int(shortest / interval))
     ago = interval * np.arange(length - 1, -1, -1.0)
-    for index, trial in enumerate(problem.trials):
-        full = trial.full_rate
+    for index in quick:
+        full = problem.trials[index].full_rate
         residual = full.force - problem.predict(state, index, full, directions=False).force
         # Samples that are missing would shift the phase of all that follow.
         seen = full.force_count > 0.0
@@ -1930,7 +1987,7 @@ def line_spectrum(problem: Problem, state: FloatArray) -> Line:
     around = total[places]
     weight = max(float(around.sum()), 1e-300)
     frequency = float(around @ places / weight) / (length * interval)
-    count = len(problem.trials)
+    count = len(quick)
     amplitude = 4.0 * math.sqrt(float(total[peak]) / count) / length
     # The power of each trial has an exponential distribution, whose median tells its mean.
     mean = float(_background(total)[peak]) / gammaincinv(count, 0.5)
@@ -2028,13 +2085,12 @@ def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]
         early = made.height.between(-math.inf, trial.t_contact).value
         if early.size >= 16:
             height_before.append(float(np.std(early)))
-        if made.set_aside.size:
-            first = ', '.join(f'{t:.4g}' for t in made.set_aside[:3])
-            more = ', ...' if made.set_aside.size > 3 else ''
-            warnings.append(
-                f'{trial.name}: {made.set_aside.size} force samples stand out and were set aside '
-                f'(at {first}{more} s)'
-            )
+        for what, times in (
+            ('force sample', made.set_aside.tolist()),
+            ('displacement height', list(trial.heights_aside)),
+        ):
+            if times:
+                warnings.append(f'{trial.name}: {_aside(what, times)}')
         if not trial.has_force_zero:
             warnings.append(
                 f'{trial.name}: the record has no force without contact, so the zero of the load '
@@ -2069,12 +2125,20 @@ def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]
     ):
         if quiet and rmse is not None and rmse > _LOUD * quiet > 1e-9 * rmse:
             loud.append(
-                f'the model misses the {what} by {rmse / quiet:.2g} times the noise before '
+                f'the model misses the {what} by {rmse / quiet:.3g} times the noise before '
                 f'contact: the errors of the parameters take this for slow noise'
             )
     if not solution.converged:
         loud.append('the search for the best parameters did not settle')
     return replace(result, warnings=(*result.warnings, *loud))
+
+
+def _aside(what: str, times: Sequence[float]) -> str:
+    """Return that samples were set aside, and when the first of them were."""
+    first = ', '.join(f'{t:.4g}' for t in times[:_NAMED])
+    more = ', ...' if len(times) > _NAMED else ''
+    stand = f'{what} stands out and was' if len(times) == 1 else f'{what}s stand out and were'
+    return f'{len(times)} {stand} set aside (at {first}{more} s)'
 
 
 def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict[str, Estimate]:

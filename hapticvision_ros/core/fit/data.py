@@ -278,6 +278,11 @@ _DETECTION: Final = 0.01
 """Scatter of the detected touch in any noise, over the depth."""
 _SHALLOW: Final = (0.01, 0.03, 0.1)
 """Shares of the depth over which the first rise of the force is looked at."""
+_SEEN_WAY: Final = 0.2
+"""Share of the depth that heights in contact are to have seen, to be held against the tool."""
+_LEAST_FOLLOWED: Final = 0.1
+_MOST_FOLLOWED: Final = 10.0
+"""Parts of the tool's way that the height of an object under it goes at least and at most."""
 _BASELINE: Final = 32
 """Samples before the contact from which on the zero of the load cell is fitted."""
 
@@ -469,6 +474,8 @@ class FitTrial:
         The detected touch and start of the release [s].
     t_first : float or None
         When a tool that pushes in steps has first come to rest [s].
+    heights_aside : tuple of float
+        Times of the displacement heights that are not used [s].
     eventful : ndarray of bool, shape (samples,)
         Which force samples are near an event, where a sudden residual is no glitch.
     samples : Samples
@@ -501,6 +508,7 @@ class FitTrial:
     t_contact: float
     t_release: float | None
     t_first: float | None
+    heights_aside: tuple[float, ...]
     eventful: NDArray[np.bool_]
     samples: Samples
     path: ToolPath
@@ -771,6 +779,10 @@ def prepare(
         if math.isinf(ends) or force.max() > ends:
             # One trial may have been read through another range.
             ends = end_of_range([force])
+        astray = astray_height(trial, phases)
+        if astray is not None:
+            warnings.append(f'{trial.name}: {astray}, and is not used')
+            trial = replace(trial, displacement_height=None, displacement_source='none')
         made = _prepare(trial, phases, later, windows, servo, touched, beside, ends)
         # What no model is fitted to has been pushed as well.
         depth = phases.depth if isinstance(made, str) else made.depth
@@ -900,6 +912,7 @@ def planned(
         t_contact=touch,
         t_release=end if release else None,
         t_first=None,
+        heights_aside=(),
         eventful=np.zeros(count, dtype=np.bool_),
         samples=Samples(edges, np.zeros(count), np.ones(count, dtype=np.bool_)),
         path=path,
@@ -961,11 +974,13 @@ def _prepare(
     baseline = int(np.searchsorted(force.t, touch))
     height_interval, height_jitter = 1.0, 0.0
     height_t = heights = np.empty(0)
+    aside: tuple[float, ...] = ()
     if height is not None:
         record = height.between(edges[0], edges[-1])
         if len(record) >= 2:
             good = ~(suspects(record.value) | _astray(record, phases, (*later, *turns)))
             height_t, heights = record.t[good], record.value[good]
+            aside = tuple(record.t[~good].tolist())
             height_interval = float(np.median(np.diff(record.t)))
             height_jitter = jitter_of(record.t)
     raw = FitTrial(
@@ -993,6 +1008,7 @@ def _prepare(
         t_contact=touch,
         t_release=phases.t_release,
         t_first=phases.t_first,
+        heights_aside=aside,
         eventful=eventful,
         samples=samples,
         path=path,
@@ -1222,6 +1238,44 @@ def _displacement(trial: Trial, phases: Segmentation) -> Signal | None:
     if phases.t_contact is None or phases.contact_height is None or len(tool) < _FEWEST:
         return None
     return Signal(tool.t, phases.contact_height - tool.value)
+
+
+def astray_height(trial: Trial, phases: Segmentation) -> str | None:
+    """
+    Return why a displacement height cannot be that of the object under the tool.
+
+    Parameters
+    ----------
+    trial, phases : Trial, Segmentation
+        What was measured, and its phases.
+
+    Returns
+    -------
+    str or None
+        None where the height goes with the tool while this is on the object, or is not seen then.
+
+    """
+    whole = phases.entire
+    height, displacement = trial.displacement_height, _displacement(trial, whole)
+    if height is None or displacement is None or trial.displacement_source == 'tool':
+        return None
+    end = math.inf if whole.t_release is None else whole.t_release
+    touch = float(whole.t_contact or 0.0)
+    pressed = (height.t > touch) & (height.t < min(end, float(displacement.t[-1])))
+    way = np.interp(height.t[pressed], displacement.t, displacement.value)
+    value = height.value[pressed]
+    if value.size < _FEWEST or float(np.ptp(way)) < _SEEN_WAY * float(displacement.value.max()):
+        return None
+    way = way - way.mean()
+    power = float(way @ way)
+    slope = float(way @ value) / power
+    error = float(np.std(value - value.mean() - slope * way)) * math.sqrt(1.0 / power)
+    if slope + 3.0 * error >= _LEAST_FOLLOWED and slope - 3.0 * error <= _MOST_FOLLOWED:
+        return None
+    return (
+        f'the displacement height goes {100.0 * slope:.3g} % of the way of the tool that presses '
+        f'(check the sensor, its sign and its unit)'
+    )
 
 
 def _is_pressed(height: Signal | None) -> bool:
@@ -1725,6 +1779,7 @@ def _path(
     first, last = 0, t.size
     touch = -math.inf if phases.t_contact is None else phases.t_contact
     depth = float(value.max())
+    read = noise
     exact = noise < _EXACT[-1] * depth
     if exact:
         # A campaign's paths are made several times, for arms that change their speed otherwise.
@@ -1738,7 +1793,12 @@ def _path(
     # The arm is told by its changes of speed, also where another way follows the samples better.
     told = [] if found is None else found[2]
     still = math.inf
-    way = None if exact else _smooth_way(t[slice(*near)], value[slice(*near)], found, noise)
+    way = None
+    # What is nearly exact is noise between samples all the same, where no shapes follow them.
+    if not exact or (
+        read > _EXACT[0] * depth and (found is None or _timed(found) < _loose(found))
+    ):
+        way = _smooth_way(t[slice(*near)], value[slice(*near)], found, read)
     if way is not None:
         first, last = near
         found, still = (way.t, way.value, []), way.still

@@ -57,10 +57,9 @@ from hapticvision_ros.core.fit.data import (
     prepare,
     range_end_of,
     reads_at_moments,
-    suspects,
 )
 from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
+from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise, rounding
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -372,12 +371,16 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
             count += early.size
             air += float(noise @ noise) * early.size / (early.size - 2)
             doubt += early.size * _memory(noise)
+    # A coarse sensor may read the same without contact, and rounds in it.
+    coarse = max(rounding(part.measured) for part in parts)
     if count >= _BASELINE:
         quiet, error = math.sqrt(air / count), math.sqrt(0.5 * doubt) / count
-    elif local.value is None:
+    elif local.value is None and coarse == 0.0:
         return local
     else:
-        quiet, error = local.value, _LOCAL_ERROR
+        quiet, error = local.value or 0.0, _LOCAL_ERROR
+    if coarse > quiet:
+        quiet = math.hypot(quiet, coarse)
     value = quiet if rmse > quiet * (1.0 + _DOUBT * error) else rmse
     largest = max(float(np.abs(part.measured).max()) for part in parts)
     if value <= _ROUNDING * largest:
@@ -524,7 +527,7 @@ def _every_height(full: FitTrial, trial: Trial) -> FitTrial:
     if record is None or not full.height_t.size:
         return full
     record = record.between(full.samples.edges[0], full.samples.edges[-1])
-    good = ~suspects(record.value)
+    good = ~np.isin(record.t, full.heights_aside)
     return replace(
         full,
         height_t=record.t[good],

@@ -56,6 +56,9 @@ _OF_MEDIAN = 1.2533
 """Standard error of a median over that of a mean, in normal noise."""
 _STRAIGHT = 2.0
 """Spread of the object's way beside the tool's, over their noise, in which both go together."""
+_CLEARLY = 3.0
+_DEEP = 0.8
+"""How much larger is a matter of sign, and the share of the way from which on a tool is deep."""
 _BLOCKS = 50
 _AGAIN = 4
 """Rounds in which the touch that the heights show, and what is before it, are found."""
@@ -169,7 +172,11 @@ def segment(
     """
     record = _prepare(force, tool_height)
     t_end = float(min(force.t[-1], tool_height.t[-1]))
-    contact = _find_contact(record, options)
+    turned = _turned(record, options)
+    if turned is None:
+        contact = _find_contact(record, options)
+    else:
+        contact = _Contact(None, None, 0.0, (turned,))
     if contact.t is None:
         middle = float(np.median(record.f))
         return Segmentation(
@@ -264,7 +271,7 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
     for name, signal in (('force', force), ('tool height', tool_height)):
         if len(signal) < _FEWEST:
             raise InputError(
-                f'the {name} has {len(signal)} samples, too few to find the phases of a trial: '
+                f'the {name} has too few samples ({len(signal)}) to find the phases of a trial: '
                 f'record at least {_FEWEST}'
             )
     start = max(force.t[0], tool_height.t[0])
@@ -282,6 +289,37 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
     return _Record(
         force.t[inside], f[inside], tool_height.t, x, f_noise, x_noise, _coarseness(force.value)
     )
+
+
+def _turned(record: _Record, options: SegmentationOptions) -> str | None:
+    """Return what is said of a force or a height that has the wrong sign; None if neither has."""
+    tf, f = record.tf, record.f
+    block = max(1, f.size // 4000)
+    starts = np.arange(0, f.size, block)
+    coarse = np.add.reduceat(f, starts) / np.diff(np.append(starts, f.size))
+    usual = float(np.median(coarse[: max(coarse.size // 100, _FEWEST)]))
+    least = options.contact_sigmas * record.force_noise + 1e-12 * float(np.max(np.abs(f)))
+    rise, fall = float(coarse.max()) - usual, usual - float(coarse.min())
+    span = float(np.ptp(record.x))
+    if max(rise, fall) <= _CLEARLY * least or span <= _CLEARLY * record.travel_noise:
+        return None
+
+    def deep(sample: int) -> float:
+        at = float(np.interp(tf[starts[sample]], record.tx, record.x))
+        return (at - float(record.x.min())) / span
+
+    # An adhesive object pulls as the tool goes away, not where it is deepest.
+    if fall > _CLEARLY * max(rise, least) and deep(int(np.argmin(coarse))) > _DEEP:
+        return (
+            f'the force falls by {fall:.3g} N where the tool is deepest: it is to be positive in '
+            'compression, so turn its sign'
+        )
+    if rise > _CLEARLY * max(fall, least) and deep(int(np.argmax(coarse))) < 1.0 - _DEEP:
+        return (
+            f'the force rises by {rise:.3g} N where the tool height is greatest: the height is to '
+            'fall as the tool pushes, so turn its sign'
+        )
+    return None
 
 
 def _coarseness(value: FloatArray) -> float:

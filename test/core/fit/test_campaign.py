@@ -112,8 +112,8 @@ def test_glitches_are_set_aside_and_told(length: int) -> None:
     assert np.all(off < 0.5)
     # A glitch may take its neighbours with it: they are not told apart within 4 samples.
     assert length <= result.trials[0].set_aside.size <= length + 9
-    assert any('stand out' in warning for warning in result.warnings)
-    assert not any('stand out' in warning for warning in clean.warnings)
+    assert any('set aside (at' in warning for warning in result.warnings)
+    assert not any('set aside (at' in warning for warning in clean.warnings)
 
 
 def test_a_trial_without_release_still_tells_the_elements() -> None:
@@ -236,7 +236,7 @@ def test_a_touch_detected_too_early_is_put_right() -> None:
     ]
     result = fit(early)
     assert np.all(np.abs(_scores(result, Body())) < 4.0)
-    assert not any('stand out' in warning for warning in result.warnings)
+    assert not any('set aside (at' in warning for warning in result.warnings)
     assert result.noise.force.std == pytest.approx(0.05, rel=0.1)
 
 
