@@ -231,6 +231,15 @@ def test_a_bag_named_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert 'named twice' in capsys.readouterr().err
 
 
+def test_a_copy_of_a_recording_is_no_second_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / 'again'
+    shutil.copytree(SLOW, copy)
+    assert _fit(SLOW, copy, '--out', tmp_path / 'out') == 2
+    assert f'{copy} holds the same recording as {SLOW}' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('model', 'complaint'),
     [

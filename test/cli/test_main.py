@@ -15,6 +15,8 @@
 """The command line as a whole: verbs, exit codes, and how little it imports for help."""
 
 import importlib
+import os
+from pathlib import Path
 import subprocess
 import sys
 
@@ -119,6 +121,44 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
     with process.stderr:
         assert process.stderr.read() == b''
     assert process.wait(timeout=60) == 0
+
+
+def test_what_a_terminal_cannot_show_is_replaced() -> None:
+    code = (
+        'import sys\n'
+        'from hapticvision_ros.cli import fit, main\n'
+        "fit.run = lambda _: print('1 \\u00b1 2') or 0\n"
+        "sys.exit(main.main(['fit', 'a', '--out', 'b']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code],
+        capture_output=True,
+        text=True,
+        env=os.environ | {'PYTHONIOENCODING': 'ascii'},
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, '1 ? 2\n', '')
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs a device that is always full')
+def test_a_full_disk_behind_the_output_is_one_sentence() -> None:
+    code = (
+        'import sys\n'
+        'from hapticvision_ros.cli import fit, main\n'
+        "fit.run = lambda _: print('x') or 0\n"
+        "sys.exit(main.main(['fit', 'a', '--out', 'b']))\n"
+    )
+    with Path('/dev/full').open('w', encoding='ascii') as full:
+        done = subprocess.run(
+            [sys.executable, '-c', code],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith('hapticvision: the output cannot be written (')
+    assert done.stderr.count('\n') == 1
 
 
 def test_help_imports_no_numerics() -> None:

@@ -584,6 +584,20 @@ def test_the_last_way_to_the_deepest_rest_tells_when_it_begins(
     assert found.whole.t_release == pytest.approx(sum(lasts[:-1]), abs=0.05)
 
 
+@pytest.mark.parametrize('which', ['force', 'height'])
+def test_a_sign_that_is_turned_is_told_and_is_no_contact(which: str) -> None:
+    trial = simulate(Case(STANDARD_SOLID))
+    force, height = trial.force, trial.height
+    if which == 'force':
+        force = Signal(force.t, -force.value)
+    else:
+        height = Signal(height.t, 0.1 - height.value)
+    found = segment(force, height)
+    assert found.t_contact is found.t_hold is None
+    (warning,) = found.warnings
+    assert f'the {which} ' in warning and warning.endswith('turn its sign')
+
+
 def test_online_tells_each_step_of_a_staircase() -> None:
     events, segmenter = run_online(staircase())
     kinds = [event.kind for event in events]

@@ -293,30 +293,27 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
 
 def _turned(record: _Record, options: SegmentationOptions) -> str | None:
     """Return what is said of a force or a height that has the wrong sign; None if neither has."""
-    tf, f = record.tf, record.f
-    block = max(1, f.size // 4000)
-    starts = np.arange(0, f.size, block)
-    coarse = np.add.reduceat(f, starts) / np.diff(np.append(starts, f.size))
-    usual = float(np.median(coarse[: max(coarse.size // 100, _FEWEST)]))
-    least = options.contact_sigmas * record.force_noise + 1e-12 * float(np.max(np.abs(f)))
-    rise, fall = float(coarse.max()) - usual, usual - float(coarse.min())
     span = float(np.ptp(record.x))
-    if max(rise, fall) <= _CLEARLY * least or span <= _CLEARLY * record.travel_noise:
+    least = _CLEARLY * (
+        options.contact_sigmas * record.force_noise + 1e-12 * float(np.max(np.abs(record.f)))
+    )
+    if span <= _CLEARLY * _CLEARLY * record.travel_noise:
         return None
-
-    def deep(sample: int) -> float:
-        at = float(np.interp(tf[starts[sample]], record.tx, record.x))
-        return (at - float(record.x.min())) / span
-
+    depth = (np.interp(record.tf, record.tx, record.x) - float(record.x.min())) / span
+    deep, shallow = record.f[depth > _DEEP], record.f[depth < 1.0 - _DEEP]
+    if min(deep.size, shallow.size) < _FEWEST:
+        return None
+    usual = median_level(record.f[: max(record.f.size // 100, _FEWEST)])
+    pressed, free = median_level(deep) - usual, median_level(shallow) - usual
     # An adhesive object pulls as the tool goes away, not where it is deepest.
-    if fall > _CLEARLY * max(rise, least) and deep(int(np.argmin(coarse))) > _DEEP:
+    if -pressed > max(least, _CLEARLY * abs(free)) and float(deep.max()) - usual < -pressed:
         return (
-            f'the force falls by {fall:.3g} N where the tool is deepest: it is to be positive in '
-            'compression, so turn its sign'
+            f'the force falls by {-pressed:.3g} N where the tool is deepest: it is to be positive '
+            'in compression, so turn its sign'
         )
-    if rise > _CLEARLY * max(fall, least) and deep(int(np.argmax(coarse))) < 1.0 - _DEEP:
+    if free > max(least, _CLEARLY * abs(pressed)):
         return (
-            f'the force rises by {rise:.3g} N where the tool height is greatest: the height is to '
+            f'the force rises by {free:.3g} N where the tool height is greatest: the height is to '
             'fall as the tool pushes, so turn its sign'
         )
     return None

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.excess import _held, bursts, Excess, louder
+from hapticvision_ros.core.diagnosis.excess import _held, bursts, Excess, louder, Stretch
 from hapticvision_ros.core.fit.campaign import Problem
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
@@ -161,6 +161,62 @@ def test_what_strikes_at_any_time_is_glitches(world: Any) -> None:
     found, phases = _struck(world, 0.2, 9.0)
     assert phases[0].t_end > 9.0
     assert found is None
+
+
+@pytest.mark.parametrize('kind', ['off', 'dead', 'wild'])
+def test_a_stretch_that_stands_off_at_once_is_no_glitch(world: Any, kind: str) -> None:
+    """Unless the load cell hangs, or tells more than any force of the push."""
+    campaign = world.campaign(((0.001, 0.003),) * 3)
+    largest = peak_force(campaign)
+
+    def moved(trial: Trial) -> Trial:
+        t, value = trial.force.t, trial.force.value.copy()
+        stretch = (t > 7.0) & (t < 7.3)
+        if kind == 'dead':
+            value[stretch] = value[stretch][0] - 0.2 * largest
+        else:
+            value[stretch] -= (0.2 if kind == 'off' else 5.0) * largest
+        return replace(trial, force=Signal(t, value))
+
+    measured = world.measure(campaign, seed=1, change=moved)
+    phases = measured.phases[0]
+    assert phases.t_hold is not None and phases.t_release is not None
+    assert phases.t_hold < 7.0 and phases.t_release > 7.3
+    _, base = measured.bench()
+    assert all(trial.set_aside.size > 50 for trial in base.problem.trials)
+    found = bursts(base, measured.phases)
+    if kind != 'off':
+        assert found is None
+        return
+    assert isinstance(found, Stretch)
+    assert (found.phase, found.trials) == ('hold', ('trial_01', 'trial_02', 'trial_03'))
+    assert found.longest == pytest.approx(0.3, abs=0.02)
+    assert found.rms == pytest.approx(0.2 * largest, rel=0.1)
+    assert 'in trial_01 and 2 more' in str(found)
+
+
+@pytest.mark.parametrize('channel', ['force', 'height'])
+def test_a_trial_that_is_noisier_in_the_air_as_well_is_not_louder(
+    heard: Any, channel: str
+) -> None:
+    random = np.random.default_rng(11)
+
+    def noisier(trial: Trial, since: float = 0.0, until: float = np.inf) -> Trial:
+        if trial.name != 'trial_02':
+            return trial
+        seen = trial.force if channel == 'force' else trial.displacement_height
+        assert seen is not None
+        level = 4.0 * np.std(seen.value[: seen.value.size // 20])
+        noise = level * random.standard_normal(seen.t.size) * ((seen.t > since) & (seen.t < until))
+        made = Signal(seen.t, seen.value + noise)
+        if channel == 'force':
+            return replace(trial, force=made)
+        return replace(trial, displacement_height=made)
+
+    assert heard(change=noisier) == ()
+    # Noise that comes with the contact is.
+    (found,) = heard(change=lambda trial: noisier(trial, 1.5, 6.0))
+    assert found.trial == 'trial_02'
 
 
 def test_a_few_heights_in_each_trial_are_held_against_their_noise_together(

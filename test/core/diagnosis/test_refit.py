@@ -507,6 +507,24 @@ def test_a_line_is_found_where_samples_are_missing(world: Any) -> None:
     assert line.chance < 1e-6
 
 
+def test_a_line_is_found_whatever_trial_comes_first(world: Any) -> None:
+    """By one that is recorded ten times as slowly a hum of 31 Hz is one of 9 Hz."""
+
+    def slow(trial: Trial) -> Trial:
+        if trial.name != 'trial_01':
+            return trial
+        return replace(trial, force=Signal(trial.force.t[::10], trial.force.value[::10]))
+
+    force = peak_force(world.campaign())
+    hum = Undeclared('periodic_disturbance', (0.004 * force, 31.0))
+    measured = world.measure(world.campaign(hold=10.0), hum, seed=5, change=slow)
+    _, base = measured.bench()
+    assert base.problem.trials[0].interval > 9.0 * base.problem.trials[1].interval
+    line = line_spectrum(base.problem, base.state)
+    assert line.frequency == pytest.approx(31.0, abs=0.05)
+    assert line.chance < 1e-6
+
+
 def _on(body: Body, campaign: Campaign, noise: float) -> Campaign:
     """Return a campaign on another body, with white noise of a part of its largest force."""
     campaign = replace(campaign, body=body)

@@ -309,6 +309,37 @@ def test_the_whole_analysis_has_the_moved_stamps(world: Any) -> None:
     assert force.chi2 == pytest.approx(1.0, abs=0.15)
 
 
+def test_a_trial_of_another_object_is_no_trial_that_was_foreseen(world: Any) -> None:
+    campaign = world.campaign(hold=3.0, recover=2.0)
+    trials = [analyse(trial) for trial, _ in world.measure(campaign, seed=5).pairs]
+    other = replace(campaign, body=Body(3000.0, 2700.0, 4800.0))
+    (*_, unseen) = [analyse(trial) for trial, _ in world.measure(other, seed=6).pairs]
+    unseen = replace(unseen, trial=replace(unseen.trial, name='other'))
+    whole = analyse_campaign(trials, [unseen])
+    assert whole.diagnosis is not None
+    assert whole.diagnosis.status == 'none'
+    told = [each for each in whole.warnings if each.startswith('a contradiction')]
+    assert any('the trials held out (other)' in each and 'the force' in each for each in told)
+    # Without it there is none.
+    assert not any('contradiction' in each for each in analyse_campaign(trials).warnings)
+
+
+def test_two_objects_are_no_scatter_of_one(world: Any) -> None:
+    """Each push on both, now on one first and now on the other: repeats differ by half."""
+    campaign = world.campaign(hold=3.0, recover=2.0)
+    other = replace(campaign, body=Body(1500.0, 1350.0, 2400.0))
+    pairs = []
+    for late, one in enumerate((campaign, other)):
+        for k, (trial, phases) in enumerate(world.measure(one, seed=7 + late).pairs):
+            start = (2 * k + (late + k) % 2) * 10**11
+            pairs.append((replace(trial, name=f'push_{k}_{late}', start_ns=start), phases))
+    found = diagnose(pairs)
+    assert found.status in ('unexplained', 'partly_explained')
+    assert found.unexplained is not None
+    (told,) = (each for each in found.warnings if each.startswith('repeats of the same push'))
+    assert not told.endswith('and no effect')
+
+
 def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     smoothed: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -533,6 +564,19 @@ def test_a_change_between_trials_without_repeats_is_said_and_no_scatter(world: A
     (where,) = found.unexplained.where
     assert 'trial_01 to trial_03 differ from all others by -7' in where
     assert where.endswith('no scatter, or goes with the push speed')
+
+
+def test_a_change_between_two_rounds_is_no_ageing(world: Any) -> None:
+    """Repeats are all as far apart in time, so that both make the same of them."""
+    campaign = world.campaign(world.four * 2, hold=3.0, recover=2.0)
+    for name, size in (('gain_step', 0.1), ('ageing', -1.0)):
+        found = diagnose(world.measure(campaign, Undeclared(name, (size,)), seed=3).pairs)
+        if name == 'ageing':
+            assert (found.status, found.sets) == ('explained', (('ageing',),))
+            continue
+        assert found.status in ('unexplained', 'partly_explained')
+        assert found.unexplained is not None
+        assert any('trial_0' in each and 'no scatter' in each for each in found.unexplained.where)
 
 
 def test_a_change_between_trials_is_no_less_than_the_scatter_of_a_few_repeats(world: Any) -> None:

@@ -127,6 +127,40 @@ def test_every_height_counts_by_itself(campaign: list[Pair], right: Fit) -> None
     assert means < 0.9 * samples and samples >= recorded - len(campaign)
 
 
+def test_a_height_that_is_set_aside_counts_nowhere_and_is_told(campaign: list[Pair]) -> None:
+    trial, phases = campaign[0]
+    height = trial.displacement_height
+    assert height is not None
+    value = height.value.copy()
+    at = height.t.size - 60
+    value[at] += 1e-3
+    spoilt = [(replace(trial, displacement_height=Signal(height.t, value)), phases), *campaign[1:]]
+    found = fit(spoilt, YIELD)
+    told = [warning for warning in found.warnings if 'displacement height stands out' in warning]
+    assert len(told) == 1 and f'(at {height.t[at]:.4g} s)' in told[0]
+    seen = fitted_trials(found, spoilt)[0]
+    assert seen is not None
+    assert height.t[at] not in seen.height.t
+    assert height.t[at - 1] in seen.height.t
+
+
+def test_a_load_cell_that_rounds_by_more_than_its_noise_has_that_of_rounding(
+    campaign: list[Pair],
+) -> None:
+    step = 20.0 * FORCE_NOISE
+    coarse = []
+    for trial, phases in campaign:
+        # Without contact it reads the same all the time.
+        value = step * np.round((trial.force.value - 0.03) / step)
+        coarse.append((replace(trial, force=Signal(trial.force.t, value)), phases))
+        assert phases.t_contact is not None
+        assert np.ptp(value[trial.force.t < phases.t_contact - 0.1]) == 0.0
+    found = fit(coarse, YIELD)
+    noise = sample_noise(found, fitted_trials(found, coarse), coarse)
+    assert noise.force.value is not None
+    assert 0.5 < noise.force.value / (step / np.sqrt(12.0)) < 1.1
+
+
 @pytest.mark.parametrize('which', ['base', 'right'])
 def test_the_noise_is_that_of_the_sensors_whether_the_model_is_right_or_not(
     campaign: list[Pair], which: str, request: pytest.FixtureRequest
