@@ -1273,7 +1273,7 @@ def astray_height(trial: Trial, phases: Segmentation) -> str | None:
     if slope + 3.0 * error >= _LEAST_FOLLOWED and slope - 3.0 * error <= _MOST_FOLLOWED:
         return None
     return (
-        f'the displacement height goes {100.0 * slope:.3g} % of the way of the tool that presses '
+        f'the displacement height goes {slope:.4g} times as far as the tool that presses '
         f'(check the sensor, its sign and its unit)'
     )
 

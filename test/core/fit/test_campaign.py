@@ -28,13 +28,15 @@ from hapticvision_ros.core.fit.campaign import (
     Blur,
     Fit,
     fit,
+    fit_prepared,
     Memory,
     Problem,
     replace_onsets,
 )
+from hapticvision_ros.core.fit.data import prepare
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.fit.noise_model import SensorNoise
-from hapticvision_ros.core.records import Segmentation, Signal
+from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim import campaigns, specimen, strengths
 import numpy as np
@@ -466,6 +468,57 @@ def test_a_tool_that_leaves_the_object_and_comes_again_tells_it(
     found = np.exp(result.theta[:3])
     assert found == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
     assert result.noise.force.std == pytest.approx(0.005, rel=0.1)
+
+
+def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tuple[Signal, ...]:
+    """Return force, tool height and displacement height of a tool led along a sine."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0.0, 14.0, 1e-3)
+    swinging = (t >= 1.0) & (t <= 11.0)
+    sine = 1.0 - np.cos(2.0 * math.pi * frequency * (t - 1.0))
+    depth = np.where(swinging, reach * sine, 0.0) - 2e-3
+    speed = np.gradient(depth, t)
+    way = np.concatenate(([0.0], np.cumsum(0.5e-3 * (speed[1:] + speed[:-1])))) + depth[0]
+    motion = specimen.Motion(t, way, speed, np.append(np.diff(speed) / 1e-3, 0.0))
+    step, count = 4e-3, 3475
+    first = random.uniform(0.5, 1.5) * step
+    history = specimen.integrate(
+        first + step * (np.arange(10 * count + 1) / 10.0 - 0.5),
+        motion,
+        specimen.parameter_vector(body, ()),
+        surface_offset=0.0,
+        reference_depth=0.006,
+        campaign_time=0.0,
+        stretched=0.0,
+    )
+    passed = np.concatenate(([0.0], np.cumsum(history.force * np.diff(history.t))))
+    at = first + step * np.arange(count)
+    ends = (np.interp(at + side * step, history.t, passed) for side in (0.5, -0.5))
+    force = (next(ends) - next(ends)) / step + 0.02 * random.standard_normal(count)
+    tool_t = random.uniform(0.0, step) + step * np.arange(count)
+    tool = 0.04 - motion.at(tool_t)[0] + 1e-6 * random.standard_normal(count)
+    height_t = random.uniform(0.0, 0.05) + 0.05 * np.arange(277)
+    height = np.interp(height_t, history.t, history.surface)
+    return (
+        Signal(at, force),
+        Signal(tool_t, 1e-6 * np.round(tool / 1e-6)),
+        Signal(height_t, height + 1e-5 * random.standard_normal(height_t.size)),
+    )
+
+
+def test_a_base_fit_that_is_lost_is_looked_for_elsewhere() -> None:
+    """Of a tool that comes and goes along a sine the first half wave alone gives a start."""
+    body = specimen.Body(1000.0, 1500.0, 3000.0)
+    pairs = []
+    for number, (frequency, reach) in enumerate(((0.5, 3e-3), (1.0, 2e-3), (0.5, 2e-3))):
+        signals = _swung(body, frequency, reach, number)
+        trial = Trial(f's{number}', number * 10**11, *signals)
+        pairs.append((trial, segment(*signals)))
+    # Sines tell nothing of how an arm stops, and take long to be asked for it.
+    prepared, _ = prepare(pairs, servo=None)
+    result = fit_prepared(prepared, Model())
+    assert np.exp(result.theta[:3]) == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
+    assert result.noise.force.std == pytest.approx(0.02, rel=0.1)
 
 
 def test_what_a_model_lacks_does_not_move_a_touch_that_jumps() -> None:

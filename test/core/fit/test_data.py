@@ -487,6 +487,29 @@ def _quick(name: str, noise: float, first: float, rounded: float = 0.0) -> Trial
     )
 
 
+@pytest.mark.parametrize('share', [1.0, 0.15, 0.02, -1.0, 1000.0])
+def test_a_height_that_does_not_go_with_the_tool_is_not_used(share: float) -> None:
+    """One that is dead, turned or in millimetres; a soft arm leaves most of the way to others."""
+    whole = _trial()
+    t = np.arange(0.0, 20.0, 0.05)
+    noise = 2e-5 * np.random.default_rng(1).standard_normal(t.size)
+    way = np.maximum(PHASES.contact_height - whole.tool_height.at(t), 0.0)
+    seen = replace(
+        whole,
+        displacement_height=Signal(t, share * way + noise * max(abs(share), 1.0)),
+        displacement_source='topic',
+    )
+    (made,), told = prepare([(seen, PHASES)])
+    assert made is not None
+    if share in (1.0, 0.15):
+        assert made.height_t.size > 100 and told == ()
+        return
+    assert made.height_t.size == 0
+    (warning,) = told
+    assert float(warning.split(' goes ')[1].split()[0]) == pytest.approx(share, rel=0.2)
+    assert warning.endswith('and is not used')
+
+
 def test_a_push_whose_speed_swamps_the_noise_of_its_force_is_left_out() -> None:
     """By the noise before the contact, of which the sample of the touch is no part."""
     phases = replace(PHASES, t_contact=0.95)
