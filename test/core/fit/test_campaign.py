@@ -495,8 +495,8 @@ def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tu
     at = first + step * np.arange(count)
     ends = (np.interp(at + side * step, history.t, passed) for side in (0.5, -0.5))
     force = (next(ends) - next(ends)) / step + 0.02 * random.standard_normal(count)
-    tool_t = random.uniform(0.0, step) + step * np.arange(count)
-    tool = 0.04 - motion.at(tool_t)[0] + 1e-6 * random.standard_normal(count)
+    tool_t = random.uniform(0.0, 0.016) + 0.016 * np.arange(count // 4)
+    tool = 0.04 - motion.at(tool_t)[0] + 1e-6 * random.standard_normal(tool_t.size)
     height_t = random.uniform(0.0, 0.05) + 0.05 * np.arange(277)
     height = np.interp(height_t, history.t, history.surface)
     return (
@@ -511,7 +511,7 @@ def test_a_base_fit_that_is_lost_is_looked_for_elsewhere() -> None:
     body = specimen.Body(1000.0, 1500.0, 3000.0)
     pairs = []
     for number, (frequency, reach) in enumerate(((0.5, 3e-3), (1.0, 2e-3), (0.5, 2e-3))):
-        signals = _swung(body, frequency, reach, number)
+        signals = _swung(body, frequency, reach, 3 + number)
         trial = Trial(f's{number}', number * 10**11, *signals)
         pairs.append((trial, segment(*signals)))
     # Sines tell nothing of how an arm stops, and take long to be asked for it.
