@@ -46,11 +46,15 @@ type HeldOutBy = Literal['name', 'condition']
 """Whether trials were named to be held out, or each condition of the push was left out in turn."""
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
+_NAMES: Final[Mapping['Channel', str]] = MappingProxyType(
+    {'force': 'force', 'height': 'displacement height'}
+)
 _BY_CHANCE: Final = 2.0
 _NO_RISE: Final = 1.01
 """Standard errors, and of a single trial the ratio, up to which held-out squares may rise."""
+_MISSED: Final = 1.5
 _UNSEEN: Final = 2.0
-"""Mean squares of unseen samples over those of fitted ones from which on a reader is told."""
+"""Misfit over the noise, and mean squares of unseen samples over fitted ones, that are told."""
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -361,6 +365,7 @@ def _compared(
         for index, (one, beside) in enumerate(zip(fits, seen, strict=True))
     ]
     if diagnosis is not None:
+        told += _passed_for_noise(models[-1], diagnosis)
         told += _worse_unseen(models[-1], held_out)
     return CampaignAnalysis(
         trials=tuple(trials),
@@ -375,14 +380,33 @@ def _compared(
     )
 
 
+def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]:
+    """Return which channels are missed by more than their noise though nothing is said to lack."""
+    if model.train is None or model.fit is None or diagnosis.unexplained is not None:
+        return []
+    if model.fit.problem.scatter.size:
+        # Shared parameters miss trials that scatter.
+        return []
+    told = []
+    for channel, name in _NAMES.items():
+        seen = model.train.total.get(channel)
+        if seen is None or seen.chi2 is None or seen.chi2 < _MISSED**2:
+            continue
+        # Where the record shows the noise before contact the fit has said so.
+        if not any(f'misses the {name.split()[-1]} by' in each for each in model.fit.warnings):
+            told.append(
+                f'the {model.model.name} model misses the {name} by {math.sqrt(seen.chi2):.3g} '
+                'times its noise, which has passed for slow noise: it lacks more than was found'
+            )
+    return told
+
+
 def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> list[str]:
     """Return which channels the model misses by far more where it has not seen the trials."""
     if model.train is None or model.held_out is None:
         return []
     told = []
-    channels: tuple[tuple[Channel, str], ...]
-    channels = (('force', 'force'), ('height', 'displacement height'))
-    for channel, name in channels:
+    for channel, name in _NAMES.items():
         seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
         if seen is None or left_out is None or seen.chi2 is None or left_out.chi2 is None:
             continue

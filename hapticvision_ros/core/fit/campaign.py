@@ -2157,7 +2157,8 @@ def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict
                     value, None, f'the best fit has no {name} at all: it lies on the bound'
                 )
                 continue
-            at = f'{name} = {value:.3g} {parameter.unit}'
+            unit = '' if parameter.unit == '-' else f' {parameter.unit}'
+            at = f'{name} = {value:.3g}{unit}'
             low = solution.theta[i] == model.bounds[0][i]
             estimates[name] = Estimate.unknown(
                 f'these trials only bound it from {"above" if low else "below"}: the best fit '

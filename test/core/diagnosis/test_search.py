@@ -20,9 +20,10 @@ import math
 import re
 from typing import Any
 
+from hapticvision_ros.core import pipeline
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import search
-from hapticvision_ros.core.diagnosis.records import Diagnosis
+from hapticvision_ros.core.diagnosis.records import Diagnosis, Unexplained
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.search import (
     _contenders,
@@ -322,6 +323,25 @@ def test_a_trial_of_another_object_is_no_trial_that_was_foreseen(world: Any) -> 
     assert any('the trials held out (other)' in each and 'the force' in each for each in told)
     # Without it there is none.
     assert not any('contradiction' in each for each in analyse_campaign(trials).warnings)
+
+
+def test_what_has_passed_for_slow_noise_is_told(case: Any, world: Any) -> None:
+    """Where the record shows no noise without contact the fit does not say so."""
+    measured = world.measure(world.campaign(), Undeclared('yield_force', (0.8,)), seed=2)
+    trials = [analyse(trial) for trial, _ in measured.pairs]
+    model = analyse_campaign(trials, model=Model()).before
+    assert model is not None and model.fit is not None and model.train is not None
+    chi2 = model.train.total['force'].chi2
+    assert chi2 is not None and chi2 > 2.5
+    found = case(None, 1).found
+    assert found.unexplained is None
+    assert pipeline._passed_for_noise(model, found) == []
+    silent = replace(model, fit=replace(model.fit, warnings=()))
+    (told,) = pipeline._passed_for_noise(silent, found)
+    assert f'misses the force by {math.sqrt(chi2):.3g} times its noise' in told
+    # What is said to be left is told already.
+    left = replace(found, unexplained=Unexplained(1.0, ('force',)))
+    assert pipeline._passed_for_noise(silent, left) == []
 
 
 def test_two_objects_are_no_scatter_of_one(world: Any) -> None:
