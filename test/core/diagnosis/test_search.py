@@ -337,8 +337,8 @@ def test_what_has_passed_for_slow_noise_is_told(case: Any, world: Any) -> None:
     assert found.unexplained is None
     assert pipeline._passed_for_noise(model, found) == []
     silent = replace(model, fit=replace(model.fit, warnings=()))
-    (told,) = pipeline._passed_for_noise(silent, found)
-    assert f'misses the force by {math.sqrt(chi2):.3g} times its noise' in told
+    told = pipeline._passed_for_noise(silent, found)
+    assert f'misses the force by {math.sqrt(chi2):.3g} times its noise' in told[0]
     # What is said to be left is told already.
     left = replace(found, unexplained=Unexplained(1.0, ('force',)))
     assert pipeline._passed_for_noise(silent, left) == []
