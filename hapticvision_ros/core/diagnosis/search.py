@@ -202,7 +202,7 @@ def diagnose(
             again,
             late=outcome.late,
             warnings=(
-                f"the stamps of the tool's height are {1e3 * outcome.late:.3g} ms late against "
+                f"the stamps of the tool's height are {1e3 * outcome.late:.4g} ms late against "
                 'those of the force in all trials: they were moved back by that',
                 *again.warnings,
             ),

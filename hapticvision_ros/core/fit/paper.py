@@ -189,6 +189,8 @@ def fit_paper(trial: Trial, segmentation: Segmentation) -> PaperResult:
     hold = _fit_hold(trial, segmentation, noise.force)
     recovery = _fit_recovery(trial, segmentation, noise.height)
     K1, C1, C2 = _parameters(hold, recovery)
+    # What is unknown is not too low either.
+    early = _unconverged(hold, recovery, segmentation) if K1.known else ()
     return PaperResult(
         relaxation_time=hold.time_constant,
         F0=hold.amplitude,
@@ -201,7 +203,7 @@ def fit_paper(trial: Trial, segmentation: Segmentation) -> PaperResult:
         C2=C2,
         hold_fit=hold.fit,
         recovery_fit=recovery.fit,
-        warnings=hold.warnings + recovery.warnings + _unconverged(hold, recovery, segmentation),
+        warnings=hold.warnings + recovery.warnings + early,
     )
 
 
@@ -282,7 +284,7 @@ def _unconverged(hold: _Decay, recovery: _Decay, phases: Segmentation) -> tuple[
         return ()
     return (
         f'the hold ends {left:.2g} N above F_inf: eq. (13) takes the force to have converged by '
-        f'T_e, and gives K1, C1 and C2 about {100.0 * excess / (1.0 + excess):.2g} % too low',
+        f'T_e, and gives K1, C1 and C2 about {100.0 * excess / (1.0 + excess):.3g} % too low',
     )
 
 

@@ -341,6 +341,17 @@ def test_a_force_that_relaxes_to_nothing_gives_no_stiffness(bingham: type) -> No
     assert 'nothing within its error' in str(result.K1.reason)
 
 
+def test_what_is_unknown_is_not_said_to_be_too_low(bingham: type) -> None:
+    """A hold that ends early, above a limit that is nothing within its error."""
+    trial, phases = bingham(yield_force=0.0).make(hold=6.0)
+    for seed in range(8):
+        noise = np.random.default_rng(seed).standard_normal(len(trial.force))
+        noisy = replace(trial, force=Signal(trial.force.t, trial.force.value + 0.05 * noise))
+        result = fit_paper(noisy, phases)
+        assert result.K1.value is None
+        assert not any('too low' in warning for warning in result.warnings)
+
+
 def test_a_retardation_longer_than_the_relaxation_gives_no_C2(two_decays: Maker) -> None:
     result = fit_paper(
         *two_decays(retardation_time=3.0, recovery=15.0, force_noise=0.01, height_noise=1e-6)
