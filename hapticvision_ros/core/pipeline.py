@@ -21,6 +21,7 @@ what it lacks, and measures how far either model misses the trials. What only th
 imported in its functions, since the fitter node starts with this module.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
@@ -242,6 +243,7 @@ def analyse_campaign(
     from hapticvision_ros.core.composition import Model
 
     tell = _say_nothing if progress is None else progress
+    trials = _named_apart(trials)
     try:
         before, after, diagnosis, warnings = _fits(trials, model, tell, workers, bootstrap)
     except UsageError as error:
@@ -249,6 +251,19 @@ def analyse_campaign(
     if diagnosis is not None and diagnosis.late:
         trials, held_out = (_earlier(each, diagnosis.late) for each in (trials, held_out))
     return _compared(trials, held_out, before, after, diagnosis, warnings, tell, workers)
+
+
+def _named_apart(trials: Sequence[TrialAnalysis]) -> list[TrialAnalysis]:
+    """Return trials of which no two have one name, by which those left out are known."""
+    seen = Counter[str]()
+    made = []
+    for one in trials:
+        seen[one.trial.name] += 1
+        if seen[one.trial.name] > 1:
+            name = f'{one.trial.name} ({seen[one.trial.name]})'
+            one = replace(one, trial=replace(one.trial, name=name))
+        made.append(one)
+    return made
 
 
 def _earlier(trials: Sequence[TrialAnalysis], late: float) -> list[TrialAnalysis]:

@@ -325,6 +325,17 @@ def test_a_trial_of_another_object_is_no_trial_that_was_foreseen(world: Any) -> 
     assert not any('contradiction' in each for each in analyse_campaign(trials).warnings)
 
 
+def test_trials_of_one_name_are_left_out_one_by_one(world: Any) -> None:
+    trials = [
+        analyse(replace(trial, name='push'))
+        for trial, _ in world.measure(world.campaign(), seed=2).pairs
+    ]
+    whole = analyse_campaign(trials, model=Model())
+    assert [one.trial.name for one in whole.trials] == ['push', 'push (2)', 'push (3)', 'push (4)']
+    assert whole.before is not None and whole.before.held_out is not None
+    assert len(whole.before.held_out.by_trial) == 2 * len(trials)
+
+
 def test_what_has_passed_for_slow_noise_is_told(case: Any, world: Any) -> None:
     """Where the record shows no noise without contact the fit does not say so."""
     measured = world.measure(world.campaign(), Undeclared('yield_force', (0.8,)), seed=2)
