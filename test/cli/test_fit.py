@@ -213,11 +213,11 @@ def test_every_bag_that_cannot_be_analysed_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = [tmp_path / name / 'take_1' for name in ('monday', 'tuesday')]
-    for bag in short:
+    for number, bag in enumerate(short):
         with BagWriter(bag) as writer:
             for index in range(5):
                 stamp = 10**9 + 10**7 * index
-                writer.write_wrench(stamp, (0.0, 0.0, -1.0))
+                writer.write_wrench(stamp, (0.0, 0.0, -1.0 - number))
                 for topic in (TOOL_HEIGHT, DISPLACEMENT_HEIGHT):
                     writer.write_float64(topic, stamp, 0.01)
     assert _fit(short[0], SLOW, '--hold-out', short[1], '--out', tmp_path / 'out') == 2

@@ -779,11 +779,12 @@ def prepare(
         if math.isinf(ends) or force.max() > ends:
             # One trial may have been read through another range.
             ends = end_of_range([force])
-        astray = astray_height(trial, phases)
+        made = _prepare(trial, phases, later, windows, servo, touched, beside, ends)
+        astray = None if isinstance(made, str) else astray_height(trial, phases)
         if astray is not None:
             warnings.append(f'{trial.name}: {astray}, and is not used')
-            trial = replace(trial, displacement_height=None, displacement_source='none')
-        made = _prepare(trial, phases, later, windows, servo, touched, beside, ends)
+            blind = replace(trial, displacement_height=None, displacement_source='none')
+            made = _prepare(blind, phases, later, windows, servo, touched, beside, ends)
         # What no model is fitted to has been pushed as well.
         depth = phases.depth if isinstance(made, str) else made.depth
         pushes.append((later, depth or 0.0))
@@ -1264,7 +1265,8 @@ def astray_height(trial: Trial, phases: Segmentation) -> str | None:
     pressed = (height.t > touch) & (height.t < min(end, float(displacement.t[-1])))
     way = np.interp(height.t[pressed], displacement.t, displacement.value)
     value = height.value[pressed]
-    if value.size < _FEWEST or float(np.ptp(way)) < _SEEN_WAY * float(displacement.value.max()):
+    least = max(_SEEN_WAY * float(displacement.value.max()), 0.0)
+    if value.size < _FEWEST or float(np.ptp(way)) <= least:
         return None
     way = way - way.mean()
     power = float(way @ way)

@@ -255,12 +255,14 @@ def _trial() -> Trial:
     t = np.arange(0.0, 20.0, 0.001)
     force = np.where((t > 1.0) & (t < 13.0), 5.0, 0.0)
     force += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    height = np.maximum(_tool(t[::100], CORNERS, DEPTHS), 0.0)
+    height += 1e-5 * np.random.default_rng(2).standard_normal(height.size)
     return Trial(
         name='trial',
         start_ns=10**9,
         force=Signal(t, force),
         tool_height=Signal(t, 0.04 - _tool(t, CORNERS, DEPTHS)),
-        displacement_height=Signal(t[::100], np.zeros(t[::100].size)),
+        displacement_height=Signal(t[::100], height),
     )
 
 
@@ -328,8 +330,10 @@ def test_a_record_that_begins_in_the_push_is_not_fitted(share: float) -> None:
     made, warnings = prepare([(seen, begun), (told, begun), (seen, PHASES)])
     assert (made[0] is None) == (share > 0.2)
     assert None not in made[1:]
-    assert len(warnings) == (share > 0.2)
-    assert all('begins in contact' in warning for warning in warnings)
+    # That it does not follow the tool is another matter.
+    cut = [warning for warning in warnings if 'is not used' not in warning]
+    assert len(cut) == (share > 0.2)
+    assert all('begins in contact' in warning for warning in cut)
 
 
 def test_a_record_that_begins_in_the_hold_is_not_fitted() -> None:
@@ -693,7 +697,9 @@ def test_a_height_beyond_both_of_its_neighbours_is_left_out(at: float) -> None:
     (clean,), _ = prepare([(whole, PHASES)])
     assert made is not None and clean is not None
     assert clean.height_count.sum() == len(height)
-    assert made.height_count.sum() == len(height) - 1
+    # On the way down the one before it is beyond both as well.
+    assert 1 <= len(height) - made.height_count.sum() <= 2
+    assert height.t[index] not in made.height_t
     assert np.abs(made.height - np.interp(made.height_t, height.t, height.value)).max() < 1e-4
 
 
