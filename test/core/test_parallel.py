@@ -42,7 +42,7 @@ def alone(what: str, **options: Any) -> subprocess.CompletedProcess[str]:
         [sys.executable, '-W', 'error', '-c', ALONE + what],
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=180.0,
         check=False,
         **options,
     )
