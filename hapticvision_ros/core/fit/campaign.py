@@ -153,7 +153,7 @@ _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
-_LOST: Final = 4.0
+_LOST: Final = 10.0
 """Misfit over the noise from which on the base model may be in a wrong valley."""
 _HOPS: Final = 4
 _BESIDE: Final = tuple(
