@@ -297,7 +297,7 @@ def _turned(record: _Record, options: SegmentationOptions) -> str | None:
     least = _CLEARLY * (
         options.contact_sigmas * record.force_noise + 1e-12 * float(np.max(np.abs(record.f)))
     )
-    if span <= _CLEARLY * _CLEARLY * record.travel_noise:
+    if span <= _CLEARLY**2 * record.travel_noise:
         return None
     depth = (np.interp(record.tf, record.tx, record.x) - float(record.x.min())) / span
     deep, shallow = record.f[depth > _DEEP], record.f[depth < 1.0 - _DEEP]
