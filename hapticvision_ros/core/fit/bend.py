@@ -92,6 +92,19 @@ _TELLING: Final = 1e-3
 """Part of what is left, or of one, below which a drop of the squares tells nothing more."""
 _POLISHED: Final = 30
 """Looks at clean changes of speed at most."""
+_DURATIONS: Final = 17
+_ZOOMS: Final = 5
+_ROUGH_ZOOMS: Final = 3
+"""
+How long an acceleration lasts is looked for at so many places, and so often more finely.
+
+For what it leaves, fewer rounds will do.
+"""
+_LAGS: Final = 8
+_LAG_ZOOMS: Final = 3
+"""The same of a lag."""
+_BRIEF: Final = 0.05
+"""Of a lag, below which how long an acceleration lasts makes no difference."""
 _RESTING: Final = 0.1
 """Speed after a stop, over that before, below which it is one."""
 _LONGEST: Final = 3.0
@@ -416,36 +429,45 @@ class Corner(NamedTuple):
             return np.zeros(1)
         return np.linspace(-self.coarse, self.coarse, RESTS)
 
-    def squares(
+    def best(
         self,
-        durations: FloatArray,
-        shifts: FloatArray,
+        shift: float,
+        longest: float,
         soft: float,
-        lag: float,
-    ) -> FloatArray:
+        lag: float | None = None,
+        *,
+        roughly: bool = False,
+    ) -> tuple[Shape, float]:
         """
-        Return what shapes leave of the samples.
+        Return the acceleration that follows the samples best, without a swing.
 
         Parameters
         ----------
-        durations, shifts : ndarray, shape (k,)
-            How long the acceleration lasts [s], and where the tool rests beside its reading [m].
+        shift : float
+            Where the tool rests beside its reading [m].
+        longest : float
+            How long it may last [s].
         soft : float
-            Part of the duration over which the acceleration comes, and goes [-].
-        lag : float
-            How late the servo is [s], which does not swing.
+            Part of how long it lasts over which it comes, and goes [-].
+        lag : float, optional
+            How late the servo is [s]; looked for where it is not given.
+        roughly : bool
+            Whether what it leaves is wanted more than how long it lasts.
 
         Returns
         -------
-        ndarray, shape (k,)
-            Sums of squares [m^2]; those that are not the least only as far as tells that.
+        shape : Shape
+            The best.
+        squares : float
+            What it leaves of the samples [m^2].
 
         """
-        squares = np.empty(shifts.size)
-        lasts = np.maximum(durations, 1e-9)
-        rest = self.rest, self.coarse, shifts
-        _squares(self.t, self.value, self._lines, *rest, lasts, soft, lag, squares)
-        return squares
+        known = self.t, self.value, self._lines, self.rest, self.coarse, shift, longest, soft
+        worth = SHOWN * self.noise**2
+        left, duration, late = _best(
+            *known, -1.0 if lag is None else lag, _ROUGH_ZOOMS if roughly else _ZOOMS, worth
+        )
+        return Shape(duration, soft * duration, late), left
 
     @property
     def noisiness(self) -> float:
@@ -543,17 +565,64 @@ def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-unty
 
 
 @kernel(error_model='numpy')
-def _squares(  # type: ignore[no-untyped-def]
-    t, value, lines, rest, coarse, shifts, durations, soft, lag, squares
+def _longest(  # type: ignore[no-untyped-def]
+    t, value, lines, rest, coarse, shift, longest, soft, lag, zooms
 ):
-    # The one in the middle is often the best, beside which the others are seen soon.
-    middle = shifts.size // 2
-    least = np.inf
-    for k in range(shifts.size):
-        j = (k + middle) % shifts.size
-        how = durations[j], soft * durations[j], lag, 0.0, 0.0, 0.0
-        squares[j] = _missed(t, value, lines, rest, coarse, shifts[j], how, least)
-        least = min(least, squares[j])
+    """Return what an acceleration leaves that lasts as long as is best, and how long that is."""
+    shortest = max(_BRIEF * lag, 1e-9)
+    low = 0.0
+    high = longest
+    best = 0.0
+    for _ in range(zooms):
+        width = (high - low) / (_DURATIONS - 1)
+        least = np.inf
+        at = 0
+        for k in range(_DURATIONS):
+            # The one in the middle is often the best, beside which the others are seen soon.
+            j = (k + _DURATIONS // 2) % _DURATIONS
+            lasts = max(low + j * width, shortest)
+            how = lasts, soft * lasts, lag, 0.0, 0.0, 0.0
+            left = _missed(t, value, lines, rest, coarse, shift, how, least)
+            if left < least or (left == least and j < at):
+                least = left
+                at = j
+        best = low + at * width
+        low = max(best - width, 0.0)
+        high = best + width
+    best = max(best, _BRIEF * lag)
+    lasts = max(best, 1e-9)
+    how = lasts, soft * lasts, lag, 0.0, 0.0, 0.0
+    return _missed(t, value, lines, rest, coarse, shift, how, np.inf), best
+
+
+@kernel(error_model='numpy')
+def _best(  # type: ignore[no-untyped-def]
+    t, value, lines, rest, coarse, shift, longest, soft, lag, zooms, worth
+):
+    """Return what the best acceleration leaves, how long it lasts, and its lag if that is seen."""
+    given = max(lag, 0.0)
+    left, duration = _longest(t, value, lines, rest, coarse, shift, longest, soft, given, zooms)
+    if lag >= 0.0:
+        return left, duration, lag
+    low = 0.0
+    high = 0.25 * longest
+    least = left
+    lasts = duration
+    late = 0.0
+    for _ in range(_LAG_ZOOMS):
+        width = (high - low) / (_LAGS - 1)
+        for k in range(1, _LAGS):
+            each = low + k * width
+            other, its = _longest(t, value, lines, rest, coarse, shift, longest, soft, each, zooms)
+            if other < least:
+                least = other
+                lasts = its
+                late = each
+        low = max(late - width, 0.0)
+        high = late + width
+    if least < left - worth:
+        return least, lasts, late
+    return left, duration, 0.0
 
 
 @kernel(error_model='numpy')

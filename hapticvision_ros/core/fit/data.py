@@ -225,6 +225,8 @@ _CURVED: Final = 0.5
 """Part of what straight lines leave of samples between others that a curve may leave of them."""
 _BETWEEN: Final = 8
 """Most straight pieces that stand for the curve from one exact sample to the next."""
+_MOST_SHAPES: Final = 1 << 14
+"""Shapes of changes of speed that are known, some hundred samples each."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
 _MOSTLY_ROUNDED: Final = 3.0
@@ -235,9 +237,6 @@ _NORMAL_FROM_QUARTER: Final = 3.1387
 that is taken for the noise of a tool that moves at most."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
-_ZOOMS: Final = 5
-_ROUGH_ZOOMS: Final = 3
-"""Rounds of the search for how long a change of speed takes; for what it leaves, fewer will do."""
 _BRIEF_SWING: Final = 0.02
 """Part of the longest change of speed that one that swings lasts at least, at first."""
 _TOUCHING: Final = 16
@@ -256,12 +255,8 @@ _FOLLOWS: Final = 2.0
 """Noise that samples may be away from a change of speed, root mean square."""
 _CLOSELY: Final = 1.2
 """The same where little is straight after it."""
-_DURATIONS: Final = 17
 _SOFT: Final = (0.0, 0.5, 1.0)
 """Parts of how long an acceleration lasts, over which it comes and goes, that are tried."""
-_BRIEFEST: Final = 0.05
-"""Of a lag, below which how long an acceleration lasts makes no difference."""
-_LAG_ZOOMS: Final = 3
 _COARSE_REST: Final = 5e-4
 """Half a step of the encoders over the depth, from which on it matters where a tool rests."""
 _HELD: Final = 0.1
@@ -1225,7 +1220,8 @@ def along(
         displacement = _displacement(trial, phases)
         if each is None:
             continue
-        if displacement is None:
+        if displacement is None or each.path.still < math.inf:
+            # A smooth way is none of an arm's.
             moved.append(each)
             continue
         path = tool_path(displacement, phases, servo)
@@ -2216,9 +2212,10 @@ def _bend(
     variance = 0.0
     rest = -1
     before, after = start - margin, stop + margin
+    sides = _within(t, left, before), _within(t, after, right)
     is_short = [
-        may_be and np.count_nonzero((t >= first) & (t <= last)) < edge
-        for may_be, first, last in ((True, left, before), (ramp, after, right))
+        may_be and side.stop - side.start < edge
+        for may_be, side in zip((True, ramp), sides, strict=True)
     ]
     # An arm is straight until it begins to change its speed: of a quick push that is little, and
     # of a way on which it takes long to come to its speed.
@@ -2226,18 +2223,18 @@ def _bend(
         before = start - edge * step
     if is_short[1]:
         after = stop + edge * step
-    for k, (first, last) in enumerate(((left, before), (after, right))):
-        inside = (t >= first) & (t <= last)
-        if np.count_nonzero(inside) < edge:
+    for k, inside in enumerate((_within(t, left, before), _within(t, after, right))):
+        count = inside.stop - inside.start
+        if count < edge:
             return None
-        lines.append(_line(t[inside], value[inside], np.ones(np.count_nonzero(inside))))
-        # One of the readings, also where as many are at the next.
-        reading = float(np.quantile(value[inside], 0.5, method='lower'))
-        if coarse > 0.0 and np.mean(np.abs(value[inside] - reading) < coarse) > _STILL:
-            rest = k
-            lines[k] = reading, 0.0
+        lines.append(_line(t[inside], value[inside], np.ones(count)))
+        if coarse > 0.0:
+            # One of the readings, also where as many are at the next.
+            reading = float(np.quantile(value[inside], 0.5, method='lower'))
+            if np.mean(np.abs(value[inside] - reading) < coarse) > _STILL:
+                rest = k
+                lines[k] = reading, 0.0
         # Of a line at its end, or of a rest at any place within a step of the encoders.
-        count = np.count_nonzero(inside)
         variance += coarse**2 / 12.0 if rest == k else 4.0 * noise**2 / count
         if is_short[k] and rest != k:
             # The lines meet beyond where the short one ends.
@@ -2248,8 +2245,11 @@ def _bend(
         return None
     if edge == 0:
         margin = max(0.5 * (stop - start), step)
-    chosen = (t > start - 2.0 * margin) & (t < stop + 2.0 * margin) & (t > left) & (t < right)
-    if np.count_nonzero(chosen) < (1 if edge else _FEWEST_ON_LINE):
+    chosen = slice(
+        int(np.searchsorted(t, max(start - 2.0 * margin, left), 'right')),
+        int(np.searchsorted(t, min(stop + 2.0 * margin, right))),
+    )
+    if chosen.stop - chosen.start < (1 if edge else _FEWEST_ON_LINE):
         return None
     corner = Corner(t[chosen], value[chosen], *lines[0], *lines[1], rest, coarse, noise)
     # Where little is straight after it, a shape takes the place of corners of other ways easily.
@@ -2288,6 +2288,12 @@ def _bend(
     return _Turned(bend, level, corner, shape)
 
 
+def _within(t: FloatArray, first: float, last: float) -> slice:
+    """Return which samples are between two times, these among them."""
+    start = int(np.searchsorted(t, first))
+    return slice(start, max(int(np.searchsorted(t, last, 'right')), start))
+
+
 def _shape_of(corner: Corner, longest: float, enough: float) -> tuple[Shape, float]:
     """
     Return how one change of speed goes by itself, and where the tool rests beside it [m].
@@ -2298,7 +2304,7 @@ def _shape_of(corner: Corner, longest: float, enough: float) -> tuple[Shape, flo
     return _known_shape(corner.t.tobytes(), corner.value.tobytes(), corner[2:], longest, enough)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=_MOST_SHAPES)
 def _known_shape(
     t: bytes,
     value: bytes,
@@ -2310,16 +2316,16 @@ def _known_shape(
     corner = Corner(np.frombuffer(t).copy(), np.frombuffer(value).copy(), *others)
     found: list[tuple[float, Shape, float]] = []
     for soft in _SOFT:
-        shape, left = _best_shape(corner._replace(rest=-1), 0.0, longest, soft)
+        shape, left = corner._replace(rest=-1).best(0.0, longest, soft)
         shift = 0.0
         if corner.rest >= 0:
             # How the tool comes to where it rests tells where that is, within a step.
             squares = [
-                _best_shape(corner, each, longest, soft, shape.lag, _ROUGH_ZOOMS)[1]
+                corner.best(each, longest, soft, shape.lag, roughly=True)[1]
                 for each in corner.shifts.tolist()
             ]
             shift = corner.likely(np.array(squares))
-            shape, left = _best_shape(corner, shift, longest, soft)
+            shape, left = corner.best(shift, longest, soft)
         found.append((left, shape, shift))
         if left <= enough:
             return shape, shift
@@ -2396,48 +2402,6 @@ def _between(corner: Corner, near: Shape, shift: float, longest: float) -> tuple
     else:
         left, best = minimum(cost, start, np.array([0.1, 0.1, 0.3, 0.3])[:size], turns=200)
     return left * corner.noise**2, shape(best)
-
-
-def _best_shape(
-    corner: Corner,
-    shift: float,
-    longest: float,
-    soft: float,
-    lag: float | None = None,
-    zooms: int = _ZOOMS,
-) -> tuple[Shape, float]:
-    """
-    Return the acceleration that follows the samples best, and the squares it leaves.
-
-    It takes a part `soft` of how long it lasts to come, and to go.
-    """
-
-    def best_duration(lag: float) -> tuple[float, float]:
-        low, high = 0.0, longest
-        best = 0.0
-        shifts = np.full(_DURATIONS, shift)
-        for _ in range(zooms):
-            tried = np.linspace(low, high, _DURATIONS)
-            lasts = np.maximum(tried, _BRIEFEST * lag)
-            best = float(tried[np.argmin(corner.squares(lasts, shifts, soft, lag))])
-            width = (high - low) / (_DURATIONS - 1)
-            low, high = max(best - width, 0.0), best + width
-        best = max(best, _BRIEFEST * lag)
-        return float(corner.squares(np.array([best]), shifts[:1], soft, lag)[0]), best
-
-    bent, duration = best_duration(lag or 0.0)
-    if lag is None:
-        lag, low, high = 0.0, 0.0, 0.25 * longest
-        ends = [(bent, duration, 0.0)]
-        for _ in range(_LAG_ZOOMS):
-            lags = np.linspace(low, high, 8)[1:].tolist()
-            ends += [(*best_duration(each), each) for each in lags]
-            at, width = min(ends)[2], (high - low) / 7.0
-            low, high = max(at - width, 0.0), at + width
-        lagged = min(ends)
-        if lagged[0] < bent - SHOWN * corner.noise**2:
-            bent, duration, lag = lagged
-    return Shape(duration, soft * duration, lag), bent
 
 
 def _beyond(miss: FloatArray, coarse: float) -> FloatArray:
