@@ -411,7 +411,8 @@ def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]
         if not any(f'misses the {name.split()[-1]} by' in each for each in model.fit.warnings):
             told.append(
                 f'the {model.model.name} model misses the {name} by {math.sqrt(seen.chi2):.3g} '
-                'times its noise, which has passed for slow noise: it lacks more than was found'
+                'times its noise, which has passed for slow noise: it may lack more than was '
+                'found (a long record of the sensors without contact would tell)'
             )
     return told
 

@@ -66,7 +66,10 @@ def _answer(diagnosis: Diagnosis) -> str:
     """Return the status as a sentence."""
     effects = _listed(diagnosis.effects, 'and')
     if diagnosis.status == 'none':
-        return 'The base model explains these trials to within their noise: it lacks nothing here.'
+        return (
+            'The base model explains these trials to within their noise: nothing that it lacks '
+            'shows.'
+        )
     if diagnosis.status == 'explained':
         return f'What the base model lacks is explained by {effects}.'
     if diagnosis.status == 'partly_explained':

@@ -981,8 +981,10 @@ def _alike(force: FloatArray, trial: FitTrial, blur: float) -> FloatArray:
 
 
 def _unsure(force: FloatArray, trial: FitTrial, blur: Blur) -> FloatArray:
-    """Return the same with what the speed of the push is not known by."""
+    """Return the same with what the speed of the tool is not known by."""
     variance = _jumps(force, trial, blur)
+    if trial.unsteady is not None:
+        variance += trial.unsteady
     push, error = trial.pushed
     if error > 0.0:
         # The error is one for the whole push: each step stands for as much as all tell together.

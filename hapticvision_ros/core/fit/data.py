@@ -161,7 +161,12 @@ _CLEAR: Final = 4.0
 _LOOSE: Final = 3
 """Corners that no shape follows, from which on a tool may go along a curve."""
 _DITHERED: Final = 1.4
-"""Noise of the encoders over that of their rounding, from which on neighbours err apart."""
+"""Noise of the encoders over that of their rounding, from which on like readings err apart."""
+_BADLY: Final = 1.35
+"""Squares over the noise, for each sample, from which on the shapes of arms are none of its."""
+_STEPS: Final = 0.3
+_WHILE: Final = 8
+"""Steps of the encoders that a tool goes on by from sample to sample, over so many, or creeps."""
 _FOLLOWED: Final = 4.0
 """Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
@@ -348,6 +353,8 @@ class ToolPath:
     still : float
         Interval between corners from which on the tool hardly changes its speed there, as at the
         knots of a smooth way [s].
+    unsteady : ndarray, shape (k,), optional
+        By how much the speed of a smooth way is off at the corners, as of `Way`.
 
     """
 
@@ -359,6 +366,7 @@ class ToolPath:
     servo: Servo | None = None
     rest: Rest | None = None
     still: float = math.inf
+    unsteady: FloatArray | None = None
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -522,6 +530,27 @@ class FitTrial:
     def spacing(self) -> FloatArray:
         """Return the intervals between the samples within the steps [s], shape (n,)."""
         return np.asarray(self.duration / np.maximum(self.force_count, 1.0))
+
+    @cached_property
+    def unsteady(self) -> FloatArray | None:
+        """
+        Return the variance of each step's force for what its speed is off by [N^2], shape (n,).
+
+        None but along a smooth way.
+        """
+        push = self.pushed[0]
+        if self.path.unsteady is None or push.stop - push.start < _FEWEST:
+            return None
+        off = np.interp(self.middle, self.path.t, self.path.unsteady)
+        # How much force a speed makes is told by the push, and by no model that is held against
+        # another: of two models one would pay for the greater variance.
+        way = np.diff(self.displacement)
+        felt = np.column_stack(
+            (way[push] / self.duration[push], self.displacement[1:][push], np.ones(way[push].size))
+        )
+        flow = max(float(np.linalg.lstsq(felt, self.force[push])[0][0]), 0.0)
+        touching = self.displacement[1:] > 0.0
+        return np.asarray(np.where(touching, (flow * off) ** 2, 0.0) / self.duration)
 
     @cached_property
     def pushed(self) -> tuple[slice, float]:
@@ -699,6 +728,7 @@ class FitTrial:
             self.path,
             t=self.path.t[knots],
             displacement=self.path.displacement[knots],
+            unsteady=None if self.path.unsteady is None else self.path.unsteady[knots],
             bends=tuple(bend for bend in self.path.bends if bend.start < until),
         )
         return replace(
@@ -1806,6 +1836,9 @@ def _path(
     tolerance = max(_COARSE * -top, _LEFT_SIGMAS * noise)
     before = _coarse(t[:first], value[:first], tolerance)
     after = _coarse(t[last:], value[last:], tolerance)
+    unsteady = None
+    if way is not None:
+        unsteady = np.pad(way.unsteady, (before[0].size, after[0].size))
     interval = float(np.quantile(np.diff(t), _DENSE))
     path = ToolPath(
         np.concatenate((before[0], knots, after[0])),
@@ -1816,6 +1849,7 @@ def _path(
         servo,
         _rest(turns, phases, float(value.max()), interval),
         still,
+        unsteady,
     )
     return path, told
 
@@ -1829,14 +1863,34 @@ def _smooth_way(
     """Return the smooth way of a tool that goes neither straight nor by the shapes of arms."""
     if t.size < _FEWEST:
         return None
+    error = rounding(value)
+    # Readings that round and have hardly other noise err as one where they are the same.
+    alike = _repeated(value) if noise < _DITHERED * error else np.ones(t.size)
+    samples = float(np.sum(1.0 / alike))
+    least = _FOLLOWED * samples
     if found is not None:
         corners = found[0].size - 2 - len(_bends(found[2]))
-        # The errors of readings that round and have hardly other noise go alike for long.
-        if corners < _LOOSE or noise < _DITHERED * rounding(value):
+        least = _misfit(t, value, found, noise, alike)
+        if corners < _LOOSE and least < _BADLY * samples:
             return None
-    way = smooth(t, value, noise)
-    least = _FOLLOWED * t.size if found is None else _misfit(t, value, found, noise)
+        if samples < t.size and _creeps(value, math.sqrt(12.0) * error):
+            return None
+    way = smooth(t, value, noise, alike if samples < t.size else None)
     return way if way.misfit < least else None
+
+
+def _repeated(value: FloatArray) -> FloatArray:
+    """Return how many readings one after the other are the same as each, with it."""
+    starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
+    counts = np.diff(starts, append=value.size)
+    return np.repeat(counts, counts).astype(np.float64)
+
+
+def _creeps(value: FloatArray, step: float) -> bool:
+    """Return whether a tool that moves goes on by less than a step of its encoders as a rule."""
+    ways = np.abs(value[_WHILE:] - value[:-_WHILE])
+    ways = ways[ways > 1.5 * step]
+    return ways.size == 0 or float(np.median(ways)) < _STEPS * _WHILE * step
 
 
 def _misfit(
@@ -1844,6 +1898,7 @@ def _misfit(
     value: FloatArray,
     found: tuple[FloatArray, FloatArray, list[_Turned]],
     noise: float,
+    alike: FloatArray,
 ) -> float:
     """
     Return what a path leaves of samples, over the noise, with a price for its corners.
@@ -1854,7 +1909,7 @@ def _misfit(
     knots, levels, turns = found
     miss = value - ToolPath(knots, levels, noise, tuple(_bends(turns))).at(t)
     corners = np.count_nonzero((knots >= t[0]) & (knots <= t[-1]))
-    return float(miss @ miss) / noise**2 + 3.0 * corners * math.log(t.size)
+    return float(miss @ (miss / alike)) / noise**2 + 3.0 * corners * math.log(t.size)
 
 
 def _bends(turns: Sequence[_Turned]) -> list[Bend]:

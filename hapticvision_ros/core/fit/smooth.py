@@ -84,7 +84,9 @@ def _part(interval: float) -> int:
     return max(_FEWEST, round(_SPAN / interval))
 
 
-def adapted(t: FloatArray, value: FloatArray, noise: float) -> Smoothed:
+def adapted(
+    t: FloatArray, value: FloatArray, noise: float, alike: FloatArray | None = None
+) -> Smoothed:
     """
     Smooth samples as far as each part of them allows.
 
@@ -94,6 +96,8 @@ def adapted(t: FloatArray, value: FloatArray, noise: float) -> Smoothed:
         The samples [s, m].
     noise : float
         Standard deviation of each [m].
+    alike : ndarray, shape (n,), optional
+        Of how many samples each is one that err as one; one by default.
 
     Returns
     -------
@@ -104,6 +108,7 @@ def adapted(t: FloatArray, value: FloatArray, noise: float) -> Smoothed:
     interval = usual_interval(t)
     vague = vaguely(value, interval)
     unit = noise * noise * interval
+    variance = _variance(t, noise, alike)
     many = _part(interval)
     bandwidth = np.full(t.size, calm(interval))
     while True:
@@ -114,22 +119,34 @@ def adapted(t: FloatArray, value: FloatArray, noise: float) -> Smoothed:
         widths = np.geomspace(still, 1.0 / interval, _tries(still * interval))
         for first in range(0, max(t.size - many // 2, 1), max(many // 2, 1)):
             part = slice(first, min(first + many, t.size))
-            best = _widest(t[part], value[part], noise**2, vague, unit, least[part], widths)
+            known = t[part], value[part], variance[part]
+            best = _widest(*known, vague, unit, least[part], widths)
             if best > 0:
                 bandwidth[part] = np.maximum(bandwidth[part], widths[best])
         if many == t.size:
             break
         many *= _LONGER
-    return smoothed(t, value, noise, bandwidth)
+    return smoothed(t, value, noise, bandwidth, alike)
 
 
-def smoothed(t: FloatArray, value: FloatArray, noise: float, bandwidth: FloatArray) -> Smoothed:
-    """Smooth samples of some noise [m] up to a bandwidth at each [rad/s], shapes (n,)."""
+def _variance(t: FloatArray, noise: float, alike: FloatArray | None) -> FloatArray:
+    """Return the variance of each sample, so that those that err as one tell as much as one."""
+    return noise**2 * (np.ones(t.size) if alike is None else alike)
+
+
+def smoothed(
+    t: FloatArray,
+    value: FloatArray,
+    noise: float,
+    bandwidth: FloatArray,
+    alike: FloatArray | None = None,
+) -> Smoothed:
+    """Smooth samples, as of `adapted`, up to a bandwidth at each [rad/s], shapes (n,)."""
     interval = usual_interval(t)
     intensity = noise**2 * interval * np.minimum(bandwidth[1:], bandwidth[:-1]) ** 6
     state, speed = np.empty(t.size), np.empty(t.size)
     vague = vaguely(value, interval)
-    misfit = _through(t, value, noise**2, vague, intensity, state, speed)
+    misfit = _through(t, value, _variance(t, noise, alike), vague, intensity, state, speed)
     return Smoothed(state, speed, bandwidth, misfit)
 
 
@@ -147,7 +164,7 @@ def _tries(ratio: float) -> int:
 def _widest(
     t: FloatArray,
     value: FloatArray,
-    variance: float,
+    variance: FloatArray,
     vague: FloatArray,
     unit: float,
     least: FloatArray,
@@ -207,11 +224,11 @@ def _try(t, value, variance, vague, unit, least, widths, misfits):  # type: igno
         m[0] = value[0]
         p[:] = 0.0
         p[0], p[3], p[5] = vague[0], vague[1], vague[2]
-        total = taken(value[0], variance, m, p)
+        total = taken(value[0], variance[0], m, p)
         for i in range(1, t.size):
             width = max(min(least[i], least[i - 1]), widths[j])
             forth(t[i] - t[i - 1], unit * width**6, m, p)
-            total += taken(value[i], variance, m, p)
+            total += taken(value[i], variance[i], m, p)
         misfits[j] = total
 
 
@@ -227,12 +244,12 @@ def _through(  # type: ignore[no-untyped-def]
     m[0] = value[0]
     p = np.zeros(6)
     p[0], p[3], p[5] = vague[0], vague[1], vague[2]
-    total = taken(value[0], variance, m, p)
+    total = taken(value[0], variance[0], m, p)
     means[0] = m
     covariances[0] = p
     for i in range(1, n):
         forth(t[i] - t[i - 1], intensity[i - 1], m, p)
-        total += taken(value[i], variance, m, p)
+        total += taken(value[i], variance[i], m, p)
         means[i] = m
         covariances[i] = p
     # Backwards, what later samples say of the mean at a sample: the modified Bryson-Frazier form
@@ -245,7 +262,7 @@ def _through(  # type: ignore[no-untyped-def]
         p[:] = covariances[i]
         h = t[i + 1] - t[i]
         forth(h, intensity[i], m, p)
-        s = p[0] + variance
+        s = p[0] + variance[i + 1]
         x -= (p[0] * x + p[1] * v + p[2] * a + value[i + 1] - m[0]) / s
         a += h * v + 0.5 * h * h * x
         v += h * x

@@ -22,6 +22,7 @@ that the samples allow, beside ripples that repeat: these are told by all their 
 """
 
 from collections.abc import Mapping, Sequence
+import math
 from threading import Lock
 from typing import Final, NamedTuple
 
@@ -46,7 +47,7 @@ _MOST_RIPPLES: Final = 3
 """Ripples of one record, at most."""
 _MOST_KEPT: Final = 64
 
-type Key = tuple[bytes, bytes, float]
+type Key = tuple[bytes, bytes, float, bytes]
 
 _kept: Final[dict[Key, 'Way']] = {}
 """A campaign's paths are made several times, for arms that change their speed otherwise."""
@@ -66,6 +67,9 @@ class Way(NamedTuple):
         samples tell no way.
     still : float
         Interval between knots from which on the speed hardly changes between these [s].
+    unsteady : ndarray, shape (k,)
+        By how much its speed is off at the knots: that of a mean over a time is off by this over
+        the root of the time [m/s^0.5].
 
     """
 
@@ -73,9 +77,10 @@ class Way(NamedTuple):
     value: FloatArray
     misfit: float
     still: float
+    unsteady: FloatArray
 
 
-def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
+def smooth(t: FloatArray, value: FloatArray, noise: float, alike: FloatArray | None = None) -> Way:
     """
     Return the smoothest way that samples with noise allow.
 
@@ -85,6 +90,8 @@ def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
         The samples [s, m].
     noise : float
         Standard deviation of each [m].
+    alike : ndarray, shape (n,), optional
+        Of how many samples each is one that err as one; one by default.
 
     Returns
     -------
@@ -92,10 +99,10 @@ def smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
         It, from the first sample to the last.
 
     """
-    key = t.tobytes(), value.tobytes(), noise
+    key = t.tobytes(), value.tobytes(), noise, b'' if alike is None else alike.tobytes()
     way = _kept.get(key)
     if way is None:
-        way = _smooth(t, value, noise)
+        way = _smooth(t, value, noise, alike)
         keep({key: way})
     return way
 
@@ -114,11 +121,12 @@ def keep(ways: Mapping[Key, Way]) -> None:
             del _kept[oldest]
 
 
-def _smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
-    found = adapted(t, value, noise)
+def _smooth(t: FloatArray, value: FloatArray, noise: float, alike: FloatArray | None) -> Way:
+    found = adapted(t, value, noise, alike)
     ripples: list[Ripple] = []
     left = value
-    while len(ripples) < _MOST_RIPPLES:
+    # The errors of rounding repeat as well where the tool goes on evenly.
+    while alike is None and len(ripples) < _MOST_RIPPLES:
         tried = candidates(t, left, noise, found)
         most = max((ripple.promise for ripple in tried), default=0.0)
         # To smooth all samples anew takes longest.
@@ -135,8 +143,16 @@ def _smooth(t: FloatArray, value: FloatArray, noise: float) -> Way:
     knots, levels = _knots(t, found, ripples, noise)
     for ripple in ripples:
         levels += ripple.at(knots)
-    still = _CALM * _BETWEEN / calm(usual_interval(t))
-    return Way(knots, levels, found.misfit, still)
+    interval = usual_interval(t)
+    # Up to the bandwidth the way goes with the noise of the samples, whose speed has the power of
+    # the square of the frequency: a third of what it has at the end. At rest it is none.
+    wide = np.where(found.bandwidth > calm(interval), found.bandwidth, 0.0)
+    if alike is not None:
+        # As of longer intervals, up to the shortest time that is followed.
+        longest = 1.0 / (np.maximum(wide, calm(interval)) * interval)
+        wide = wide * np.cbrt(np.minimum(alike, np.maximum(longest, 1.0)))
+    unsteady = noise * math.sqrt(interval / 3.0) * np.interp(knots, t, wide)
+    return Way(knots, levels, found.misfit, _CALM * _BETWEEN / calm(interval), unsteady)
 
 
 def _cost(way: tuple[Smoothed, Ripple]) -> float:
