@@ -565,7 +565,7 @@ def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-unty
 
 
 @kernel(error_model='numpy')
-def _longest(  # type: ignore[no-untyped-def]
+def _best_duration(  # type: ignore[no-untyped-def]
     t, value, lines, rest, coarse, shift, longest, soft, lag, zooms
 ):
     """Return what an acceleration leaves that lasts as long as is best, and how long that is."""
@@ -601,7 +601,9 @@ def _best(  # type: ignore[no-untyped-def]
 ):
     """Return what the best acceleration leaves, how long it lasts, and its lag if that is seen."""
     given = max(lag, 0.0)
-    left, duration = _longest(t, value, lines, rest, coarse, shift, longest, soft, given, zooms)
+    left, duration = _best_duration(
+        t, value, lines, rest, coarse, shift, longest, soft, given, zooms
+    )
     if lag >= 0.0:
         return left, duration, lag
     low = 0.0
@@ -613,7 +615,9 @@ def _best(  # type: ignore[no-untyped-def]
         width = (high - low) / (_LAGS - 1)
         for k in range(1, _LAGS):
             each = low + k * width
-            other, its = _longest(t, value, lines, rest, coarse, shift, longest, soft, each, zooms)
+            other, its = _best_duration(
+                t, value, lines, rest, coarse, shift, longest, soft, each, zooms
+            )
             if other < least:
                 least = other
                 lasts = its
