@@ -67,6 +67,10 @@ FROZEN_TRAVEL: Final = 0.0005
 FROZEN_HEIGHTS: Final = 3
 """In fewer readings a height may stay the same by its rate alone."""
 
+REACTION_TIME: Final = 0.1
+"""So long an arm may stand after it was told to go, or to go the other way: commands take their
+way, singly get lost, and are followed late [s]."""
+
 BACKWARD_STAMPS: Final = 5
 """So many stamps in a row before the newest tell that a clock was set back."""
 
@@ -514,6 +518,7 @@ class PushControl:
         self._last_tool = Reading(-inf, retract_height)
         self._same_heights = 0
         self._travel = 0.0
+        self._goes_by = t
         self._stepped = t
         self._last_step: float | None = None
         self._told = 0.0
@@ -615,8 +620,11 @@ class PushControl:
             # It has gone on since, as far as it was told to: down, where it matters.
             height -= max(0.0, self._told) * max(0.0, t - tool.t)
         most = self._limits.max_speed
-        self._told = min(max(self._advance(t, height, contact_force), -most), most)
-        return Command(self._told, self.phase)
+        told = min(max(self._advance(t, height, contact_force), -most), most)
+        if told != 0.0 and told * self._told <= 0.0:
+            self._goes_by = t + REACTION_TIME
+        self._told = told
+        return Command(told, self.phase)
 
     def _fresh(self, reading: Reading | None, t: float) -> float | None:
         if reading is None or not isfinite(reading.value):
@@ -647,7 +655,8 @@ class PushControl:
 
     def _follow(self, t: float, tool: Reading) -> None:
         """Take note of how far the tool was told to go while its height stays the same."""
-        self._travel += abs(self._told) * (t - self._stepped)
+        if t > self._goes_by:
+            self._travel += abs(self._told) * (t - self._stepped)
         self._stepped = t
         if tool.t > self._last_tool.t:
             if tool.value != self._last_tool.value:

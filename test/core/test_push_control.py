@@ -461,7 +461,8 @@ def test_a_saturated_load_cell_aborts_the_push():
 def test_a_dead_encoder_aborts_the_push_before_it_goes_far(phase):
     bench = Bench()
     bench.run_until(phase)
-    for _ in range(20):
+    # Past the zero of the load cell and the time that an arm may take to begin.
+    for _ in range(60):
         bench.step()
     dead = bench.height
     while bench.step(tool=Reading(bench.t, dead)).phase == phase:
@@ -469,6 +470,22 @@ def test_a_dead_encoder_aborts_the_push_before_it_goes_far(phase):
     assert 'does not follow' in bench.control.reason
     while not bench.control.finished:
         assert bench.step(tool=Reading(bench.t, dead)).push_velocity <= 0.0
+
+
+@pytest.mark.parametrize('late', [0.09, math.inf])
+def test_an_arm_may_begin_to_move_late_but_has_to_begin(late):
+    bench = Bench(replace(GOAL, release_speed=0.015))
+    bench.run_until('release')
+    begun, held = bench.t, bench.height
+    while bench.step().phase == 'release' and bench.t < begun + 0.3:
+        if bench.t < begun + late:
+            bench.height = held
+    if late == math.inf:
+        assert 'does not follow' in bench.control.reason
+        # What an arm may take to begin, and half a millimetre at this speed.
+        assert bench.t - begun == pytest.approx(0.1 + 0.5e-3 / 0.015, abs=3 * PERIOD)
+    else:
+        assert bench.control.reason is None
 
 
 @pytest.mark.parametrize('age', [0.03, 0.09])
