@@ -84,6 +84,12 @@ def test_a_filter_that_has_settled_sees_what_changes(wander: float) -> None:
     told = solve_triangular(lower, rows[:, seen].T, lower=True).T
     np.testing.assert_allclose(filter_(rows)[:, seen], told, rtol=1e-6, atol=1e-7)
     assert filter_.log_determinant == pytest.approx(2.0 * np.log(np.diag(lower)).sum(), rel=1e-7)
+    # A row without derivatives, which is whitened as the filter is made, is worth as much.
+    none = np.empty((0, len(counts)))
+    bare = Record(Blocks(blocks.duration, count, extra), rows[0], none, none)
+    samples = int(seen.sum())
+    likely = samples * np.log(told[0] @ told[0] / samples) + filter_.log_determinant
+    assert deviance([bare], noise) == pytest.approx(likely, abs=1e-6)
 
 
 def test_a_block_without_samples_tells_nothing() -> None:
