@@ -36,6 +36,7 @@ from hapticvision_ros.core.segmentation import (
 )
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 
 @dataclass(frozen=True)
@@ -714,11 +715,37 @@ def test_a_touch_that_a_hum_hides_is_where_the_surface_starts_to_move(hum, seed)
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_a_touch_that_is_felt_as_little_for_long_is_where_the_surface_starts_to_move(seed) -> None:
+@pytest.mark.parametrize('seen', [True, False])
+def test_a_touch_that_is_felt_as_little_for_long_is_where_the_force_steps(seen, seed) -> None:
     """The force steps by four times its noise, and rises on only much later."""
     slow = Slow(power=8.0, step=0.025, touch=4.0, seed=seed)
-    assert abs(slow.off(seen=True)) < 3e-5
-    assert abs(slow.off(seen=False)) > 1e-3
+    assert abs(slow.off(seen=seen)) < 3e-5
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('memory', [0.0, 0.9])
+@pytest.mark.parametrize('lead', [0.02, 0.1, 0.6])
+@pytest.mark.parametrize('rounded', [0.0, 0.05])
+def test_the_touch_of_a_guarded_approach_is_not_the_start_of_the_push(
+    rounded: float, lead: float, memory: float, seed: int
+) -> None:
+    """The tool slows down before the object, touches it, and pushes once it has felt that."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0.0, 8.0, 0.002)
+    knots = [0.0, 0.5, 1.5, 2.0, 2.0 + lead, 3.0 + lead, 9.0]
+    way = [-10e-3, -10e-3, -0.1e-3, 0.0, 0.2e-3 * lead, 4e-3 + 0.2e-3 * lead, 4e-3 + 0.2e-3 * lead]
+    x = np.interp(t, knots, way)
+    speed = np.gradient(x, t)
+    force = np.where(t > 2.0, 2000.0 * x + 3000.0 * speed, 0.0)
+    white = random.standard_normal(t.size)
+    noise = lfilter([math.sqrt(1.0 - memory**2)], [1.0, -memory], white)
+    force += 0.03 * noise
+    if rounded:
+        force = np.round(force / rounded) * rounded
+    found = segment(Signal(t, force), Signal(t, 0.05 - x))
+    assert found.t_contact == pytest.approx(2.0, abs=0.01)
+    assert found.push_speed == pytest.approx(4e-3, rel=0.02)
+    assert found.depth == pytest.approx(x[-1], abs=5e-6)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ import math
 from typing import Literal
 
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
+from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop, level
 import numpy as np
@@ -27,6 +28,20 @@ _BLOCKS = 20
 _FEWEST = 8
 _GLITCH = 9.0
 """Median deviations beyond which a sample without contact is a glitch: 6 sigma."""
+_AT_THE_RISE = 2
+"""Samples before a rise that may have a part of it."""
+_AIR_BLOCKS, _MOST_BLOCKS = 16, 100
+"""Parts of the air, no longer than those of the lead, whose spread tells what noise makes."""
+_LEADS = 4
+"""Parts of a slow lead, each of which presses."""
+_PRESSED = 6.0
+"""By how many times the spread of blocks in air: of so many it is chance once in 1e5."""
+_LOW = 0.75
+"""Share of the samples of a lead up to the last of which no sample is of the push's own rise."""
+_FAR = 12.0
+"""Standard deviations from the usual level that are none of the noise in air."""
+_STARTED = 0.01
+"""Share of its way by which a tool has moved in air."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +64,8 @@ class Touch:
         Standard error of `zero` [N]; 0 where there is none.
     travel_std : float
         Standard error of the tool's travel at `t` [m]; 0 where the touch is not in the record.
+    t_push : float
+        When the push begins [s]: at `t`, but where a slow approach was waiting for the touch.
 
     """
 
@@ -58,6 +75,11 @@ class Touch:
     found: Literal['approach', 'rest', 'start']
     zero_std: float = 0.0
     travel_std: float = 0.0
+    t_push: float = -math.inf
+
+    def __post_init__(self) -> None:
+        if self.t_push < self.t:
+            object.__setattr__(self, 't_push', self.t)
 
 
 def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:
@@ -177,6 +199,11 @@ def locate_touch(
     Touch
         The touch.
 
+    Notes
+    -----
+    A guarded approach goes slowly until it has touched, and the push from there on: the force
+    rises at the touch, and by far more as the push begins. The touch is the first of them.
+
     """
     rise = max(high - low, 6)
     stop = min(max(high, low + 2 * rise) + 1, t.size)
@@ -186,6 +213,15 @@ def locate_touch(
     travel = np.interp(tw, tx, smooth(x, travel_noise))
     earliest, latest = float(tw[0]), float(t[min(stop - 1, low + rise)])
     onset = fit_onset(tw, fw, travel, earliest, latest)
+    t_push = -math.inf
+    led = _led(t, force, tx, x, travel_noise, onset.t)
+    if led is not None:
+        t_push, (first, touch, stop) = onset.t, led
+        tw, fw = t[first:stop], force[first:stop]
+        travel = np.interp(tw, tx, smooth(x, travel_noise))
+        near = (stop - touch) // 2
+        earliest, latest = float(t[max(touch - near, first)]), float(t[touch + near // 2])
+        onset = fit_onset(tw, fw, travel, earliest, latest)
     rises = False
     if first == 0 and np.count_nonzero(tw < onset.t) < _BLOCKS:
         # So short a baseline could be the foot of a toe.
@@ -220,7 +256,52 @@ def locate_touch(
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
     error = _travel_std(tw, fw, travel, onset.t, onset.baseline, scatter)
-    return Touch(onset.t, zero, drift, 'approach', zero_std, math.hypot(error, travel_noise))
+    travel_std = math.hypot(error, travel_noise)
+    return Touch(onset.t, zero, drift, 'approach', zero_std, travel_std, t_push)
+
+
+def _led(
+    t: FloatArray,
+    force: FloatArray,
+    tx: FloatArray,
+    x: FloatArray,
+    travel_noise: float,
+    rise: float,
+) -> tuple[int, int, int] | None:
+    """
+    Return the touch by a slow tool that a push followed, between two samples; None without one.
+
+    What the tool does in air moves the force as well, from where it starts; a touch is further on,
+    and the force stays above all that it was in air until the push begins.
+    """
+    stop = int(np.searchsorted(t, rise)) - _AT_THE_RISE
+    if stop < _FEWEST * _AIR_BLOCKS:
+        return None
+    # Where the levels before and after differ most, beside how many samples tell it. The first
+    # samples of the push are none of either.
+    middle = float(np.median(force[:stop]))
+    usual = NORMAL_FROM_MAD * float(np.median(np.abs(force[:stop] - middle)))
+    # More than half of the samples of a coarse load cell may be equal.
+    reach = _FAR * (usual or float(force[: stop // 2].std()))
+    past = np.clip(force[:stop], middle - reach, middle + reach)
+    past = np.cumsum(past - past.mean())[:-1]
+    before = np.arange(1, stop)
+    first = 1 + int(np.argmax(past**2 / (before * (stop - before))))
+    far = float(np.max(x) - x[0])
+    if float(np.interp(t[first], tx, x)) - x[0] <= 5.0 * travel_noise + _STARTED * far:
+        return None
+    low = np.flatnonzero(force[first:stop] <= np.quantile(force[first:stop], _LOW))
+    stop = first + int(low[-1])
+    size = max(min((stop - first) // _LEADS, first // _AIR_BLOCKS), 1)
+    count = min(first // size, _MOST_BLOCKS)
+    if count < _AIR_BLOCKS or stop - first < _AT_THE_RISE:
+        return None
+    air = force[first - count * size : first].reshape(count, size).mean(axis=1)
+    least = float(air.mean()) + _PRESSED * float(air.std(ddof=1))
+    parts = np.array_split(force[first:stop], min(stop - first, _LEADS))
+    if min(float(part.mean()) for part in parts) <= least:
+        return None
+    return max(first - max(4 * (stop - first), 40), 0), first, stop
 
 
 def _travel_std(

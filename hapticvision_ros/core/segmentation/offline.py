@@ -96,7 +96,8 @@ class _Contact:
     """
     First touch: time [s], force zero [N] or None where there is none, force peak [N].
 
-    With the standard errors of the zero [N] and of the travel at the touch [m].
+    With the standard errors of the zero [N] and of the travel at the touch [m], and when the push
+    begins [s]: later, where a slow approach was waiting for the touch.
     """
 
     t: float | None
@@ -105,6 +106,7 @@ class _Contact:
     warnings: tuple[str, ...]
     zero_std: float = 0.0
     travel_std: float = 0.0
+    t_push: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +148,8 @@ def segment(
     15 % of its peak) is kept on withdrawal, t_loss is where it has settled to that; where
     the tool pushes in steps, the phases are those of the first step and `t_end` is its end; those
     of the `whole` record have the last hold, at its depth, and all before it is the push. Where
-    the tool never comes to rest, `push_speed` is the mean up to the end of the push.
+    the tool never comes to rest, `push_speed` is the mean up to the end of the push. A slow
+    approach that waits for the touch is no part of the push that it is the mean of.
 
     Parameters
     ----------
@@ -234,7 +237,9 @@ def _phases(
     t_deepest = t_hold if t_hold is not None else t_release
     if t_deepest is not None and t_deepest > t_contact:
         depth = motion.level - x_contact
-        push_speed = depth / (t_deepest - t_contact)
+        t_push = contact.t_push if t_contact < contact.t_push < t_deepest else t_contact
+        x_push = float(np.interp(t_push, record.tx, record.x))
+        push_speed = (motion.level - x_push) / (t_deepest - t_push)
     elif t_deepest is None and t_end > t_contact:
         push_speed = (motion.level - x_contact) / (t_end - t_contact)
     return Segmentation(
@@ -373,7 +378,15 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         'start': ('the force rises from the first sample: contact is at the start of the record',),
     }
     zero_std = 0.0 if touch.zero is None else math.hypot(touch.zero_std, record.force_step)
-    return _Contact(touch.t, touch.zero, amplitude, notes[touch.found], zero_std, touch.travel_std)
+    return _Contact(
+        touch.t,
+        touch.zero,
+        amplitude,
+        notes[touch.found],
+        zero_std,
+        touch.travel_std,
+        touch.t_push,
+    )
 
 
 def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) -> int | None:
