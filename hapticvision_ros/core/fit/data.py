@@ -167,6 +167,8 @@ _BADLY: Final = 1.35
 _STEPS: Final = 0.3
 _WHILE: Final = 8
 """Steps of the encoders that a tool goes on by from sample to sample, over so many, or creeps."""
+_RESTS: Final = 40
+"""Readings within a step of the encoders, one after another, in more of which a tool rests."""
 _FOLLOWED: Final = 4.0
 """Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
@@ -539,16 +541,16 @@ class FitTrial:
         None but along a smooth way.
         """
         push = self.pushed[0]
-        if self.path.unsteady is None or push.stop - push.start < _FEWEST:
+        count = np.sqrt(self.force_count[push])
+        if self.path.unsteady is None or np.count_nonzero(count) < _FEWEST:
             return None
         off = np.interp(self.middle, self.path.t, self.path.unsteady)
         # How much force a speed makes is told by the push, and by no model that is held against
-        # another: of two models one would pay for the greater variance.
-        way = np.diff(self.displacement)
-        felt = np.column_stack(
-            (way[push] / self.duration[push], self.displacement[1:][push], np.ones(way[push].size))
-        )
-        flow = max(float(np.linalg.lstsq(felt, self.force[push])[0][0]), 0.0)
+        # another: of two models one would pay for the greater variance. There is no level beside
+        # them: an arm that settles slowly has a speed that falls in a line with its way.
+        speed = np.diff(self.displacement)[push] / self.duration[push]
+        felt = np.column_stack((speed, self.displacement[1:][push])) * count[:, np.newaxis]
+        flow = max(float(np.linalg.lstsq(felt, self.force[push] * count)[0][0]), 0.0)
         touching = self.displacement[1:] > 0.0
         return np.asarray(np.where(touching, (flow * off) ** 2, 0.0) / self.duration)
 
@@ -1865,7 +1867,8 @@ def _smooth_way(
         return None
     error = rounding(value)
     # Readings that round and have hardly other noise err as one where they are the same.
-    alike = _repeated(value) if noise < _DITHERED * error else np.ones(t.size)
+    step = math.sqrt(12.0) * error
+    alike = _repeated(value, step) if noise < _DITHERED * error else np.ones(t.size)
     samples = float(np.sum(1.0 / alike))
     least = _FOLLOWED * samples
     if found is not None:
@@ -1873,17 +1876,41 @@ def _smooth_way(
         least = _misfit(t, value, found, noise, alike)
         if corners < _LOOSE and least < _BADLY * samples:
             return None
-        if samples < t.size and _creeps(value, math.sqrt(12.0) * error):
+        if samples < t.size and _creeps(value, step):
             return None
     way = smooth(t, value, noise, alike if samples < t.size else None)
     return way if way.misfit < least else None
 
 
-def _repeated(value: FloatArray) -> FloatArray:
-    """Return how many readings one after the other are the same as each, with it."""
+def _repeated(value: FloatArray, step: float) -> FloatArray:
+    """
+    Return of how many readings one after the other each is one that err as one.
+
+    They are the same, or a tool that rests near the edge between two readings gives these in turn.
+    """
     starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
     counts = np.diff(starts, append=value.size)
-    return np.repeat(counts, counts).astype(np.float64)
+    alike = np.repeat(counts, counts).astype(np.float64)
+    _resting(value, 1.5 * step, alike)
+    return alike
+
+
+@kernel()
+def _resting(value, reach, alike):  # type: ignore[no-untyped-def]
+    """Count readings that stay within a reach for long as one."""
+    first = 0
+    while first < value.size:
+        least = most = value[first]
+        stop = first + 1
+        while stop < value.size:
+            least = min(least, value[stop])
+            most = max(most, value[stop])
+            if most - least >= reach:
+                break
+            stop += 1
+        if stop - first > _RESTS:
+            alike[first:stop] = stop - first
+        first = stop
 
 
 def _creeps(value: FloatArray, step: float) -> bool:

@@ -19,7 +19,7 @@ from dataclasses import replace
 import math
 
 from hapticvision_ros.core.fit.campaign import _jumps, _unsure, SHARPEST
-from hapticvision_ros.core.fit.data import _smooth_way, prepare, tool_path
+from hapticvision_ros.core.fit.data import _smooth_way, FitTrial, prepare, tool_path
 from hapticvision_ros.core.fit.ripple import candidates
 from hapticvision_ros.core.fit.smooth import _through, adapted, vaguely
 from hapticvision_ros.core.fit.way import smooth
@@ -194,11 +194,14 @@ def test_a_way_that_bends_slowly_is_smoothed_over_long() -> None:
 
 @pytest.mark.parametrize(('noise', 'rounded'), [(5e-6, 1e-6), (1e-6, 1e-5), (2e-6, 1e-5)])
 @pytest.mark.parametrize('rate', [250.0, 1000.0])
+@pytest.mark.parametrize('share', [0.0, 0.15, 0.3])
 def test_straight_pieces_remain_where_they_follow_the_samples(
-    noise: float, rounded: float, rate: float
+    share: float, noise: float, rounded: float, rate: float
 ) -> None:
+    """Wherever within a step of the encoders the tool rests."""
     t = np.arange(0.0, 20.0, 1.0 / rate)
-    path = tool_path(Signal(t, _noisy(t, _rippling(t, 0.0), noise, rounded, 3)), PHASES)
+    way = _rippling(t, 0.0) + share * rounded
+    path = tool_path(Signal(t, _noisy(t, way, noise, rounded, 3)), PHASES)
     assert path.t.size <= 12
     assert path.still == math.inf
 
@@ -272,17 +275,75 @@ def test_steps_are_sparse_where_a_rippling_tool_rests_and_dense_where_it_goes(
     fine = np.arange(times[0] + 0.1, times[1] - 0.1, 1e-3)
     straight = np.interp(fine, made.t, made.displacement)
     assert np.std(straight - made.path.at(fine)) < 0.5e-6
-    # What its speed is off by is noise of the force, of a part of the trial as well.
-    off = np.full(made.path.t.size, 1e-5)
-    felt = 300.0 * np.diff(made.displacement) / made.duration
-    made = replace(made, force=made.force + felt, path=replace(made.path, unsteady=off))
-    unsteady = made.unsteady
+
+
+@pytest.fixture(scope='module')
+def smooth_trial() -> FitTrial:
+    """Return a trial along a smooth way, of a spring of 1 N/mm and a dashpot of 0.3 N.s/mm."""
+    t = np.arange(0.0, 20.0, 0.002)
+    way = _rippling(t, 14e-6)
+    tool = Signal(t, 0.04 - _noisy(t, way, 8e-6, 5e-6, 4))
+    force = 1000.0 * np.maximum(way, 0.0) + 300.0 * np.gradient(way, t) * (way > 0.0)
+    force += 0.01 * np.random.default_rng(5).standard_normal(t.size)
+    (made,), _ = prepare([(Trial('rippling', 0, Signal(t, force), tool, None, 'none'), PHASES)])
+    assert made is not None
+    return replace(made, path=replace(made.path, unsteady=np.full(made.path.t.size, 1e-5)))
+
+
+def _makes(trial: FitTrial) -> float:
+    """Return how much force a speed makes, by the noise that a speed which is off makes."""
+    unsteady = trial.unsteady
     assert unsteady is not None
-    blurred = _jumps(made.force, made, SHARPEST)
-    assert np.all(_unsure(made.force, made, SHARPEST) >= blurred + unsteady)
-    pressed = made.displacement[1:] > 0.0
-    told = np.where(pressed, (300.0 * 1e-5) ** 2 / made.duration, 0.0)
-    np.testing.assert_allclose(unsteady, told, rtol=0.2)
-    part = made.head(int(np.searchsorted(made.t, times[1])))
+    return math.sqrt(float(np.median((unsteady * trial.duration)[trial.pushed[0]]))) / 1e-5
+
+
+def test_what_the_speed_is_off_by_is_noise_of_the_force(smooth_trial: FitTrial) -> None:
+    unsteady = smooth_trial.unsteady
+    assert unsteady is not None
+    blurred = _jumps(smooth_trial.force, smooth_trial, SHARPEST)
+    assert np.all(_unsure(smooth_trial.force, smooth_trial, SHARPEST) >= blurred + unsteady)
+    assert not unsteady[smooth_trial.displacement[1:] <= 0.0].any()
+    assert _makes(smooth_trial) == pytest.approx(300.0, rel=0.1)
+    # Of a part of the trial as well.
+    part = smooth_trial.head(int(np.searchsorted(smooth_trial.t, 3.0)))
     assert part.path.unsteady is not None
     assert part.path.unsteady.size == part.path.t.size
+
+
+def test_readings_that_are_none_tell_nothing_of_what_a_speed_makes(smooth_trial: FitTrial) -> None:
+    gone = (smooth_trial.middle > 1.8) & (smooth_trial.middle < 2.2)
+    gappy = replace(
+        smooth_trial,
+        force=np.where(gone, 0.0, smooth_trial.force),
+        force_count=np.where(gone, 0.0, smooth_trial.force_count),
+    )
+    assert _makes(gappy) == pytest.approx(300.0, rel=0.1)
+
+
+@pytest.mark.parametrize('settling', [0.3, 0.8])
+def test_an_arm_that_settles_slowly_tells_what_a_speed_makes(
+    smooth_trial: FitTrial, settling: float
+) -> None:
+    """Its speed falls in a straight line with its way."""
+    since = smooth_trial.t - 1.0
+    way = np.where(since > 0.0, 0.006 * -np.expm1(-np.maximum(since, 0.0) / settling), 0.0)
+    speed = np.diff(way) / smooth_trial.duration
+    force = 1000.0 * 0.5 * (way[1:] + way[:-1]) + 300.0 * speed
+    force += 0.5 * np.random.default_rng(5).standard_normal(force.size)
+    slow = replace(smooth_trial, displacement=way, force=force)
+    assert _makes(slow) == pytest.approx(300.0, rel=0.1)
+
+
+def test_like_readings_tell_as_much_as_one() -> None:
+    """A slow curve of which each reading comes eight times, off by what it is off by."""
+    t = np.arange(0.0, 8.0, 0.001)
+    way = 0.0004 * np.sin(0.8 * t)
+    value = np.repeat(way[3::8] + 6e-6 * np.random.default_rng(0).standard_normal(1000), 8)
+    as_one, apart = smooth(t, value, 6e-6, np.full(t.size, 8.0)), smooth(t, value, 6e-6)
+    missed, taken = (np.interp(t, each.t, each.value) - way for each in (as_one, apart))
+    assert np.std(missed) < 1e-6
+    assert np.std(taken) > 3e-6
+    # The bandwidth tells what the speed is off by.
+    off = np.diff(missed[::100]) / 0.1
+    told = float(np.sqrt(np.mean(as_one.unsteady**2) / 0.1))
+    assert 0.3 * told < np.std(off) < 3.0 * told
