@@ -86,7 +86,8 @@ def run(arguments: Sequence[str]) -> int:
         return 0
     except OSError as error:
         if error.filename is not None:
-            raise
+            print(f'hapticvision: {error.filename}: {error.strerror}.', file=sys.stderr)
+            return UsageError.exit_code
         # A full disk behind our output, say.
         _silence(sys.stdout)
         print(f'hapticvision: the output cannot be written ({error.strerror}).', file=sys.stderr)

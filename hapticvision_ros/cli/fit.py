@@ -28,6 +28,7 @@ import json
 import os
 from pathlib import Path
 import sys
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Final, Self, TextIO, TYPE_CHECKING
 
@@ -281,8 +282,14 @@ def _check(args: argparse.Namespace) -> None:
     there = next((path for path in (args.out, *args.out.parents) if path.exists()), args.out)
     if not there.is_dir():
         raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise UsageError(f'--out {args.out}: {there} cannot be written to: choose another.')
+    try:
+        # What may be written there is known once something was: rights do not tell all of it.
+        with TemporaryDirectory(prefix='.hapticvision-', dir=there):
+            pass
+    except OSError as error:
+        raise UsageError(
+            f'--out {args.out}: {there} cannot be written to ({error.strerror}): choose another.'
+        ) from error
     seen: set[Path] = set()
     for bag in [*args.bags, *args.hold_out]:
         resolved = bag.resolve()

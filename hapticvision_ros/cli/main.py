@@ -15,13 +15,17 @@
 """
 ``hapticvision``: where the command starts.
 
-Nothing is imported here before `main` is ready for Ctrl-C.
+Nothing else is imported here before `main` is ready for Ctrl-C.
 """
 
+import os
+import signal
 import sys
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of a shell: 128 + SIGINT."""
+TERMINATED = 143
+"""Exit code after SIGTERM: 128 + SIGTERM."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -37,9 +41,16 @@ def main(argv: list[str] | None = None) -> int:
     -------
     int
         0: done. 2: bad input or usage, told in one sentence on standard error. 130: interrupted.
+        143: ended by SIGTERM.
 
     """
+    for name in ('stdout', 'stderr'):
+        # A caller may have closed them: what is found is written to its files all the same.
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), 'w'))
+    former = None
     try:
+        former = signal.signal(signal.SIGTERM, terminated)
         from hapticvision_ros.threads import one_thread
 
         one_thread()
@@ -49,3 +60,16 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print('hapticvision: interrupted.', file=sys.stderr)
         return INTERRUPTED
+    except SystemExit as ended:
+        if ended.code != TERMINATED:
+            raise
+        print('hapticvision: ended by SIGTERM.', file=sys.stderr)
+        return TERMINATED
+    finally:
+        if former is not None:
+            signal.signal(signal.SIGTERM, former)
+
+
+def terminated(signum: int, frame: object) -> None:
+    """Unwind what runs, as Ctrl-C does."""
+    sys.exit(TERMINATED)

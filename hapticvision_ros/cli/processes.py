@@ -33,9 +33,10 @@ import subprocess
 import sys
 import threading
 import time
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Final, Self
 
+from hapticvision_ros.cli.main import terminated
 from hapticvision_ros.core.errors import HapticVisionError
 from hapticvision_ros.share import share_folder
 
@@ -182,7 +183,7 @@ class Supervisor:
         self._readers: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
-        self._former = signal.signal(signal.SIGTERM, _terminated)
+        self._former = signal.signal(signal.SIGTERM, terminated)
         return self
 
     def __exit__(
@@ -359,10 +360,6 @@ class Supervisor:
                     popen.terminate()
         popen.wait()
         self._exits.put(child.name)
-
-
-def _terminated(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(128 + number)
 
 
 def _how(popen: subprocess.Popen[str]) -> str:

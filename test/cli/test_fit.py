@@ -175,7 +175,13 @@ def test_progress_leaves_no_trace_on_a_terminal_and_lines_elsewhere() -> None:
         assert stream.getvalue() == said
 
 
-def test_ctrl_c_in_a_fit_ends_with_130_and_leaves_no_result(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ('number', 'code', 'said'),
+    [(signal.SIGINT, 130, 'interrupted'), (signal.SIGTERM, 143, 'ended by SIGTERM')],
+)
+def test_a_fit_that_is_ended_says_so_and_leaves_no_result(
+    number: signal.Signals, code: int, said: str, tmp_path: Path
+) -> None:
     command = [sys.executable, '-c', 'from hapticvision_ros.cli.main import main; exit(main())']
     process = subprocess.Popen(
         [*command, 'fit', *map(str, SOFT), '--out', str(tmp_path / 'out')],
@@ -186,12 +192,12 @@ def test_ctrl_c_in_a_fit_ends_with_130_and_leaves_no_result(tmp_path: Path) -> N
     assert process.stderr is not None
     try:
         assert 'fitting' in process.stderr.readline()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         errors = process.communicate(timeout=60.0)[1]
     finally:
         process.kill()
-    assert process.returncode == 130
-    assert errors.splitlines()[-1] == 'hapticvision: interrupted.'
+    assert process.returncode == code
+    assert errors.splitlines()[-1] == f'hapticvision: {said}.'
     assert not (tmp_path / 'out').exists()
 
 

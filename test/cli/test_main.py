@@ -75,6 +75,24 @@ def test_an_interrupt_ends_with_130(
     assert 'Traceback' not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '>&- 2>&-'])
+def test_closed_streams_are_no_traceback(closed: str) -> None:
+    code = "import sys; from hapticvision_ros.cli.main import main; sys.exit(main(['fit']))"
+    shell = f'"$1" -c "$2" {closed}'
+    run = ['sh', '-c', shell, 'sh', sys.executable, code]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert 'Traceback' not in done.stderr
+
+
+def test_a_file_that_cannot_be_opened_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _fail_with(monkeypatch, PermissionError(13, 'Permission denied', 'a/b'))
+    assert main(['fit', 'a', '--out', 'b']) == 2
+    assert capsys.readouterr().err == 'hapticvision: a/b: Permission denied.\n'
+
+
 def test_an_interrupt_of_the_very_first_import_ends_with_130() -> None:
     # A Ctrl-C at the first import after that of the entry point itself.
     code = (

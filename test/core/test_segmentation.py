@@ -825,6 +825,13 @@ def test_too_few_samples_are_refused_in_a_sentence() -> None:
         segment(few, few)
 
 
+def test_a_height_in_millimetres_is_refused_in_a_sentence() -> None:
+    taken = staircase()
+    height = Signal(taken.height.t, 1e3 * taken.height.value)
+    with pytest.raises(InputError, match='look like millimetres'):
+        segment(taken.force, height)
+
+
 def test_signals_of_different_times_are_refused_in_a_sentence() -> None:
     early = Signal(np.arange(20.0), np.zeros(20))
     late = Signal(np.arange(20.0) + 100.0, np.zeros(20))

@@ -51,7 +51,7 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.least_squares import Evaluated, triangle
+from hapticvision_ros.core.fit.least_squares import Evaluated, NotFiniteError, triangle
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     Record,
@@ -313,7 +313,10 @@ class Workbench:
         begin = in_order(problem, best, dict(zip(names, values.tolist(), strict=True)))
         noise = near.force_noise, near.height_noise, near.blur
         known = begin.residual, begin.jacobian
-        return self._settled(problem, begin.theta, *noise, known=known)
+        try:
+            return self._settled(problem, begin.theta, *noise, known=known)
+        except NotFiniteError:
+            return None
 
     def look(self, model: Model, near: Refit) -> Look:
         """

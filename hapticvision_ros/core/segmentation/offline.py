@@ -71,6 +71,8 @@ _NO_PUSH = (
     'the force is largest at the start of the record: it starts in contact, and the push is not '
     'in it'
 )
+_HIGHEST = 10.0
+"""A tool is no higher [m]: a centimetre in millimetres is."""
 _DEFAULTS = SegmentationOptions()
 
 
@@ -170,7 +172,7 @@ def segment(
     Raises
     ------
     InputError
-        If the signals are too short or do not overlap in time.
+        If the signals are too short, do not overlap in time, or the height is in millimetres.
 
     """
     record = _prepare(force, tool_height)
@@ -279,6 +281,12 @@ def _prepare(force: Signal, tool_height: Signal) -> _Record:
                 f'the {name} has too few samples ({len(signal)}) to find the phases of a trial: '
                 f'record at least {_FEWEST}'
             )
+    highest = float(np.median(np.abs(tool_height.value)))
+    if highest > _HIGHEST:
+        raise InputError(
+            f'the tool is {highest:.3g} m high: heights are in metres, and these look like '
+            'millimetres; convert them'
+        )
     start = max(force.t[0], tool_height.t[0])
     stop = min(force.t[-1], tool_height.t[-1])
     if stop <= start:

@@ -27,7 +27,7 @@ from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, s
 from hapticvision_ros.core.diagnosis.structure import GATE, look
 from hapticvision_ros.core.effects import EFFECTS
 from hapticvision_ros.core.fit.campaign import fit_prepared, in_order, line_spectrum, Problem
-from hapticvision_ros.core.fit.least_squares import covariance
+from hapticvision_ros.core.fit.least_squares import covariance, NotFiniteError
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force
@@ -105,6 +105,19 @@ def test_a_weak_effect_lowers_the_deviance_by_the_square_of_its_strength_over_it
     # The model without the drift takes part of it for noise, which costs it less.
     ratio = (base.deviance - refit.deviance) / sigmas**2
     assert 0.6 < ratio < 1.05
+
+
+def test_a_model_that_goes_where_nothing_is_finite_beside_its_noise_is_not_refitted(
+    lacking: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other candidates go on."""
+    bench, base = lacking
+
+    def nowhere(*_: Any, **__: Any) -> Refit:
+        raise NotFiniteError('the model is not finite at the start')
+
+    monkeypatch.setattr(Workbench, '_settled', nowhere)
+    assert bench.refit(Model(('yield_force',)), base) is None
 
 
 def test_effects_that_are_absent_gain_what_chance_gives(quiet: Bench) -> None:
