@@ -654,12 +654,19 @@ class Workbench:
                 blur = problem.sharpest(state, force, blur)
                 problem.set_noise(force, height, problem.unsure(state, blur))
                 known = None
-            end = problem.search(
-                state,
-                tolerance=_TOLERANCE if turn else 1e-4,
-                max_evaluations=_STEPS,
-                known=known,
-            )
+            try:
+                end = problem.search(
+                    state,
+                    tolerance=_TOLERANCE if turn else 1e-4,
+                    max_evaluations=_STEPS,
+                    known=known,
+                )
+            except NotFiniteError:
+                # An onset was moved to where the model is not.
+                if best is None:
+                    raise
+                known = at_best
+                break
             state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
