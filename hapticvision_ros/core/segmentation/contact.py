@@ -296,7 +296,8 @@ def _led(
     count = min(first // size, _MOST_BLOCKS)
     if count < _AIR_BLOCKS or stop - first < _AT_THE_RISE:
         return None
-    air = force[first - count * size : first].reshape(count, size).mean(axis=1)
+    begin = first - count * size
+    air = force[begin:first].reshape(count, size).mean(axis=1)
     least = float(air.mean()) + _PRESSED * float(air.std(ddof=1))
     parts = np.array_split(force[first:stop], min(stop - first, _LEADS))
     if min(float(part.mean()) for part in parts) <= least:
