@@ -18,6 +18,7 @@
 Nothing else is imported here before `main` is ready for Ctrl-C.
 """
 
+from contextlib import suppress
 import os
 import signal
 import sys
@@ -50,7 +51,9 @@ def main(argv: list[str] | None = None) -> int:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), 'w'))
     former = None
     try:
-        former = signal.signal(signal.SIGTERM, terminated)
+        # Another thread, as of a program that calls this, may set none.
+        with suppress(ValueError):
+            former = signal.signal(signal.SIGTERM, terminated)
         from hapticvision_ros.threads import one_thread
 
         one_thread()

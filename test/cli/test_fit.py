@@ -175,6 +175,14 @@ def test_progress_leaves_no_trace_on_a_terminal_and_lines_elsewhere() -> None:
         assert stream.getvalue() == said
 
 
+def test_an_out_where_nothing_can_be_made_is_told_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever its rights say, as below /proc; before bags are read that are not there."""
+    assert main(['fit', str(tmp_path / 'none'), '--out', '/proc/hapticvision']) == 2
+    assert 'cannot be written to' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('number', 'code', 'said'),
     [(signal.SIGINT, 130, 'interrupted'), (signal.SIGTERM, 143, 'ended by SIGTERM')],

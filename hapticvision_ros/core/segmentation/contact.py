@@ -65,7 +65,7 @@ class Touch:
     travel_std : float
         Standard error of the tool's travel at `t` [m]; 0 where the touch is not in the record.
     t_push : float
-        When the push begins [s]: at `t`, but where a slow approach was waiting for the touch.
+        When the push begins [s], where a slow approach was waiting for the touch.
 
     """
 
@@ -76,10 +76,6 @@ class Touch:
     zero_std: float = 0.0
     travel_std: float = 0.0
     t_push: float = -math.inf
-
-    def __post_init__(self) -> None:
-        if self.t_push < self.t:
-            object.__setattr__(self, 't_push', self.t)
 
 
 def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:

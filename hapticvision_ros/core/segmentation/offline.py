@@ -72,7 +72,7 @@ _NO_PUSH = (
     'in it'
 )
 _HIGHEST = 10.0
-"""A tool is no higher [m]: a centimetre in millimetres is."""
+"""A tool is no higher [m]: one that is more than a centimetre high, in millimetres, is."""
 _DEFAULTS = SegmentationOptions()
 
 
@@ -99,7 +99,7 @@ class _Contact:
     First touch: time [s], force zero [N] or None where there is none, force peak [N].
 
     With the standard errors of the zero [N] and of the travel at the touch [m], and when the push
-    begins [s]: later, where a slow approach was waiting for the touch.
+    begins [s], where a slow approach was waiting for the touch.
     """
 
     t: float | None
@@ -239,7 +239,8 @@ def _phases(
     t_deepest = t_hold if t_hold is not None else t_release
     if t_deepest is not None and t_deepest > t_contact:
         depth = motion.level - x_contact
-        t_push = contact.t_push if t_contact < contact.t_push < t_deepest else t_contact
+        t_push = contact.t_push if contact.t_push < t_deepest else t_contact
+        t_push = max(t_push, t_contact)
         x_push = float(np.interp(t_push, record.tx, record.x))
         push_speed = (motion.level - x_push) / (t_deepest - t_push)
     elif t_deepest is None and t_end > t_contact:
