@@ -24,6 +24,7 @@ has threads is never forked, as any of them may hold a lock: there, threads have
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 import copyreg
 import ctypes
 from dataclasses import dataclass
@@ -47,6 +48,7 @@ _LOOK: Final = 1e-4
 """Longest time for which a thread that has ended is seen, and how often to look [s]."""
 _staying: dict[int, int] = {}
 """How many threads a process was seen not to lose in this time."""
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM)
 _END_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of linux/prctl.h."""
 
@@ -124,7 +126,9 @@ def _forked[T, R](
         workers, context, _take, (function, items, known, os.getpid())
     ) as pool:
         try:
-            for made in pool.map(_one, range(len(items))):
+            with _undisturbed():
+                results = pool.map(_one, range(len(items)))
+            for made in results:
                 yield _Reader(io.BytesIO(made), known).load()
                 done += 1
         except BrokenProcessPool:
@@ -137,6 +141,16 @@ def _forked[T, R](
                     if child not in others:
                         child.terminate()
     yield from map(function, items[done:])
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Let signals wait: a pool that is interrupted as it starts its processes never ends."""
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
 @dataclass(slots=True)
@@ -163,6 +177,7 @@ def _take(
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
     ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
     if os.getppid() != parent:
         # It has ended before that.

@@ -272,3 +272,23 @@ print('as one')
     )
     assert ran.stderr == ''
     assert ran.stdout == 'as one\n'
+
+
+def test_an_interrupt_waits_until_the_processes_are_there() -> None:
+    """A pool that is interrupted as it starts them loses it, fails, or waits for ever."""
+    done = alone("""
+from concurrent.futures.process import _ExecutorManagerThread as Manager
+
+start = Manager.start
+
+def interrupted(manager):
+    signal.raise_signal(signal.SIGINT)
+    start(manager)
+
+Manager.start = interrupted
+try:
+    print(list(each(abs, [1, 2, 3, 4], 2)))
+except KeyboardInterrupt:
+    print('interrupted')
+""")
+    assert done.stdout == 'interrupted\n', done.stderr
