@@ -336,12 +336,12 @@ class Rest(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class ToolPath:
     """
-    The tool's displacement beyond the first touch, as straight pieces.
+    The tool's displacement beyond the first touch: straight pieces, round ones along a smooth way.
 
     Parameters
     ----------
     t, displacement : ndarray, shape (k,)
-        The corners [s, m].
+        The corners, or the knots of a smooth way [s, m].
     noise : float
         Standard deviation of a sample of the encoders about the path [m].
     bends : tuple of Bend
@@ -373,10 +373,34 @@ class ToolPath:
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
         result = np.interp(t, self.t, self.displacement)
+        if self.unsteady is not None:
+            self._round(t, result)
         for bend in self.bends:
             first, last = np.searchsorted(t, (bend.start, bend.stop))
             result[first:last] += bend.beyond(t[first:last])
         return result
+
+    def _round(self, t: FloatArray, result: FloatArray) -> None:
+        """
+        Round the corners of a smooth way.
+
+        Straight pieces whose places are right have speeds that jump, of which dashpots make force;
+        a model that blurs the way would gain by that.
+        """
+        assert self.unsteady is not None
+        if self.t.size < _FEWEST:
+            return
+        smooth = (self.unsteady[1:] > 0.0) & (self.unsteady[:-1] > 0.0)
+        piece = np.clip(np.searchsorted(self.t, t, side='right') - 1, 0, self.t.size - 2)
+        inside = np.flatnonzero(smooth[piece])
+        piece = piece[inside]
+        gaps, ways = np.diff(self.t), np.diff(self.displacement)
+        speed = np.gradient(self.displacement, self.t)
+        share = (t[inside] - self.t[piece]) / gaps[piece]
+        rest = 1.0 - share
+        before = gaps[piece] * speed[piece] - ways[piece]
+        after = gaps[piece] * speed[piece + 1] - ways[piece]
+        result[inside] += share * rest * (rest * before - share * after)
 
     def held(self, t: FloatArray, shift: float) -> FloatArray:
         """
@@ -725,7 +749,8 @@ class FitTrial:
         ends = np.append(np.arange(steps + 1), last)
         # Nobody asks how the tool goes on within the rest.
         until = float(self.t[steps])
-        knots = slice(int(np.searchsorted(self.path.t, until)) + 1)
+        # The one after the next knot tells how fast the tool passes that.
+        knots = slice(int(np.searchsorted(self.path.t, until)) + 2)
         path = replace(
             self.path,
             t=self.path.t[knots],
@@ -1826,7 +1851,8 @@ def _path(
     way = None
     # What is nearly exact is noise between samples all the same, where no shapes follow them.
     if not exact or (
-        read > _EXACT[0] * depth and (found is None or _timed(found) < _loose(found))
+        read > _EXACT[0] * depth
+        and (found is None or _loose(found) >= min(_LOOSE, _timed(found) + 1))
     ):
         way = _smooth_way(t[slice(*near)], value[slice(*near)], found, read)
     if way is not None:

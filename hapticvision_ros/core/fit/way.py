@@ -61,7 +61,7 @@ class Way(NamedTuple):
     Parameters
     ----------
     t, value : ndarray, shape (k,)
-        Knots, between which it is straight [s, m].
+        Knots [s, m].
     misfit : float
         Minus twice the log likelihood of the samples, but for a constant; not finite where the
         samples tell no way.
