@@ -157,7 +157,7 @@ def fitted_model(
     try:
         model = Model.parse(fitted['model'])
         parameters = {
-            name: _estimate(name, fitted['parameters'][name], result['warnings'])
+            name: _estimate(name, fitted['parameters'][name], chosen, result['warnings'])
             for name in model.names
         }
         return model, parameters, _correlation(fitted.get('correlation'), len(parameters))
@@ -168,7 +168,7 @@ def fitted_model(
         ) from error
 
 
-def _estimate(name: str, entry: Mapping[str, Any], warnings: list[str]) -> 'Estimate':
+def _estimate(name: str, entry: Mapping[str, Any], which: str, warnings: list[str]) -> 'Estimate':
     """Return one parameter; where it is null, with the warning that says why."""
     from hapticvision_ros.core.records import Estimate
 
@@ -177,9 +177,10 @@ def _estimate(name: str, entry: Mapping[str, Any], warnings: list[str]) -> 'Esti
         if not math.isfinite(value):
             raise ValueError(f'{name} is not finite')
         return Estimate(value, None if std is None else float(std))
-    told = [text for text in warnings if re.search(rf'\b{re.escape(name)}\b', text)]
-    reason = told[0].partition('unknown: ')[2] if told else ''
-    return Estimate.unknown(reason or 'the trials do not tell it')
+    # Both models say it without a prefix; names are letters of units and of sentences as well.
+    said = re.compile(rf'(?:{which}: )?{re.escape(name)} is unknown: (.+)', re.DOTALL)
+    reasons = [match[1] for match in map(said.fullmatch, warnings) if match is not None]
+    return Estimate.unknown(reasons[0] if reasons else 'the trials do not tell it')
 
 
 def _correlation(rows: list[list[float | None]] | None, size: int) -> 'FloatArray | None':

@@ -132,6 +132,22 @@ def test_an_unknown_parameter_of_the_base_model_is_null_with_its_reason(
     }
 
 
+def test_the_reason_is_that_of_the_parameter_and_of_the_model(
+    result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads(result.read_text())
+    better = document['after']['parameters']
+    better['F_y'] = _parameter(None, 'N')
+    document['warnings'] = [
+        'C2 is unknown: F_y is too small',
+        'before: F_y is unknown: of the other model',
+        'after: F_y is unknown: no trial shows it',
+    ]
+    result.write_text(json.dumps(document))
+    text = _export(capsys, result, '--format', 'json')
+    assert json.loads(text)['parameters']['F_y']['reason'] == 'no trial shows it'
+
+
 @pytest.mark.parametrize(
     ('arguments', 'says'),
     [

@@ -29,7 +29,7 @@ from typing import Final, Literal, NamedTuple
 from hapticvision_ros.core.diagnosis.refit import Refit
 from hapticvision_ros.core.fit.campaign import calm, height_blocks, quietest, without_contact
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.noise import rounding
+from hapticvision_ros.core.fit.noise import in_motion, rounding
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     deviance,
@@ -378,7 +378,6 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
     height_alike = _alike(found.height_noise, first.height_interval)
-    # A coarse sensor may read the same without contact, and round in it.
     coarse = max(rounding(t.samples.force[t.samples.good]) for t in problem.trials)
     height_coarse = max(rounding(t.full_rate.height) for t in problem.trials)
     force_memory = height_memory = 0.0
@@ -497,22 +496,22 @@ def _turning(trial: FitTrial, t: FloatArray) -> NDArray[np.bool_]:
 
 def _parted(
     t: FloatArray, residual: FloatArray, trial: FitTrial, phase: Segmentation, *, after: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return the residual without contact, less its means, and in contact."""
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return the residual without contact, less its means, before and after, and in contact."""
     loss = phase.t_end if phase.t_loss is None else phase.t_loss
     first = float(t[0]) if t.size else trial.t_contact
     quiet = [residual[t < _before(trial, first)]]
     if after:
         quiet.append(residual[t > loss + _SETTLING * (loss - trial.t_contact)])
     return (
-        np.concatenate([np.empty(0), *(part - part.mean() for part in quiet if part.size)]),
+        [part - part.mean() for part in quiet if part.size],
         residual[(t > trial.t_contact) & (t < loss)],
     )
 
 
 def _held(
     channel: Literal['force', 'displacement height'],
-    parts: Sequence[tuple[str, FloatArray, FloatArray]],
+    parts: Sequence[tuple[str, list[FloatArray], FloatArray]],
     alike: float,
     least: float,
     coarse: float = 0.0,
@@ -520,15 +519,13 @@ def _held(
     memory: float,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is or goes on for longer."""
-    quiet = np.concatenate([np.empty(0), *(each[1] for each in parts)])
+    told, size = _level([part for each in parts for part in each[1]], coarse)
     whole = np.concatenate([np.empty(0), *(each[2] for each in parts)])
-    if quiet.size < _FEWEST or whole.size < _FEW:
+    if size < _FEWEST or whole.size < _FEW:
         return None
-    told = math.sqrt(float(np.mean(quiet**2)))
-    # What goes to and fro between readings has its rounding in it already.
-    noise = max(told if told > coarse else math.hypot(told, coarse), least)
+    noise = max(told, least)
     # A standard deviation is known to one over the root of twice the samples.
-    unsure = _SIGMAS * math.sqrt(0.5 * alike / quiet.size)
+    unsure = _SIGMAS * math.sqrt(0.5 * alike / size)
     ratios = []
     # One sample that is astray is no trial that is louder.
     known = [each for each in parts if each[2].size >= _FEW]
@@ -537,10 +534,10 @@ def _held(
         if not loud.size:
             continue
         own = noise
-        if silent.size >= _OWN:
+        told, size = _level(silent, coarse)
+        if size >= _OWN:
             # A sensor may be noisier in one trial, in the air as well.
-            error = _SIGMAS * math.sqrt(0.5 * alike / silent.size)
-            own = max(noise, math.sqrt(float(np.mean(silent**2))) * (1.0 - error))
+            own = max(noise, told * (1.0 - _SIGMAS * math.sqrt(0.5 * alike / size)))
         squares += float(loud @ loud) / own**2
         if loud.size >= _FEW or not known:
             error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)
@@ -555,3 +552,14 @@ def _held(
     if quieter and memory == 0.0:
         return None
     return Excess(channel, ratio, name, worst, memory)
+
+
+def _level(parts: Sequence[FloatArray], coarse: float) -> tuple[float, int]:
+    """Return the noise of a sensor that what is seen of it at rest tells, and from how many."""
+    size = sum(part.size for part in parts)
+    squares = 0.0
+    for part in parts:
+        # A coarse sensor may read the same at rest, and rounds in motion.
+        told = in_motion(part, coarse) if coarse > 0.0 else 0.0
+        squares += max(float(part @ part), part.size * told**2)
+    return math.sqrt(squares / max(size, 1)), size

@@ -859,6 +859,8 @@ class _Kind(NamedTuple):
     parted: bool = False
     waits: bool = False
     drawn_out: bool = False
+    # The tool follows at once.
+    prompt: bool = False
 
 
 def _servo(x: FloatArray, kind: _Kind) -> Servo:
@@ -866,8 +868,8 @@ def _servo(x: FloatArray, kind: _Kind) -> Servo:
     Return the servo of a search.
 
     It is given by how long over the usual (logarithm), lag, part that comes, and swing; one that
-    waits by how long it does so, how long it takes to stop and to start, and lag, over the scale,
-    and part that comes.
+    is prompt by how long and the part that comes; one that waits by how long it does so, how long
+    it takes to stop and to start, and lag, over the scale, and part that comes.
     """
     if kind.waits:
         wait, *others = np.maximum(x, 0.0).tolist()
@@ -881,6 +883,8 @@ def _servo(x: FloatArray, kind: _Kind) -> Servo:
             parted=True,
             wait=wait * kind.scale,
         )
+    if kind.prompt:
+        x = np.insert(x, 1, 0.0)
     lag = max(float(x[1]), 0.0) if x.size > 1 else 0.0
     jerk = min(max(float(x[2]), 0.0), 1.0) if x.size > 2 else 0.0
     return Servo(
@@ -1071,14 +1075,18 @@ def _alike(
                 left = cost(best)
                 found.append((left + start.size * worth, left, best, kind))
             continue
-        begun = [(cost, start) for start in swinging]
+        begun = [(kind, False, start) for start in swinging]
         # Beside a start that is far off all are apart, and no way leads to where they are alike.
-        at_all = partial(_left, [(corner, math.inf) for corner in corners], kind, longest)
-        begun += [(at_all, start) for start in [*starts, *swinging]]
-        for sought, start in begun:
-            _, best = minimum(sought, start, _SEARCHED[: start.size])
-            left = cost(best)
-            found.append((left + start.size * worth, left, best, kind))
+        begun += [(kind, True, start) for start in [*starts, *swinging]]
+        # A moving average of commands that have a ramp, which the tool follows at once.
+        begun.append((kind._replace(prompt=True), True, np.array([0.0, 0.5])))
+        for which, at_all, start in begun:
+            sought = [(corner, math.inf) for corner in corners] if at_all else each
+            _, best = minimum(
+                partial(_left, sought, which, longest), start, _SEARCHED[: start.size]
+            )
+            left = _left(each, which, longest, best)
+            found.append((left + start.size * worth, left, best, which))
     first: dict[_Kind, tuple[float, float, FloatArray]] = {}
     for worst, left, x, kind in found:
         if kind not in first or worst < first[kind][0]:

@@ -236,6 +236,8 @@ _MOST_SHAPES: Final = 1 << 14
 """Shapes of changes of speed that are known, some hundred samples each."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
+_LEFT_OVER: Final = 0.3
+"""Part of a piece that is left at least where a change of speed beside it goes on into it."""
 _MOSTLY_ROUNDED: Final = 3.0
 """Noise of the encoders over that of their rounding, below which the latter tells its size."""
 _CALMER: Final = 1.5
@@ -2241,9 +2243,13 @@ def _bent(
         mine = servo if _may_last_until(servo, slopes, around[2], touch) else None
         beside = slice(group[0] - 1, group[-1] + 2)
         ramp = len(group) >= _FEWEST_OF_A_RAMP and _goes_by_ramps(knots[beside], levels[beside])
+        others = (
+            _gap(knots, group[0] - 1, -1, _CORNER_SAMPLES * step),
+            _gap(knots, group[-1] + 1, 1, _CORNER_SAMPLES * step),
+        )
         # A quick push has few samples of the encoders before it stops.
         tried = (
-            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp)
+            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp, others=others)
             for known in ((mine, None) if mine is not None else (None,))
             for edge in _EDGE_SAMPLES
         )
@@ -2272,6 +2278,14 @@ def _bent(
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         return knots, levels, []
     return made, heights, turns
+
+
+def _gap(knots: FloatArray, k: int, way: int, most: float) -> float:
+    """Return how far a corner is from the one beyond it, if these make one change of speed [s]."""
+    if not 0 < k + way < knots.size - 1:
+        return 0.0
+    beyond = abs(float(knots[k + way] - knots[k]))
+    return beyond if beyond <= most else 0.0
 
 
 def _may_last_until(
@@ -2307,12 +2321,14 @@ def _bend(
     servo: Servo | None,
     *,
     ramp: bool = False,
+    others: tuple[float, float] = (0.0, 0.0),
 ) -> _Turned | None:
     """
     Return the acceleration between two straight pieces, and the level where these meet.
 
     Beside it are `edge` samples at least; none of the pieces' own are of it where that is zero.
-    After a `ramp`, whose corners all turn the same way, little may be straight.
+    After a `ramp`, whose corners all turn the same way, little may be straight. The changes of
+    speed before and after go on beyond their corners by about as long as these are from `others`.
     """
     left, start, stop, right = around
     margin = max(stop - start, edge * step) if edge else 0.0
@@ -2331,10 +2347,14 @@ def _bend(
         before = start - edge * step
     if is_short[1]:
         after = stop + edge * step
+    straight = _within(t, left + others[0], before), _within(t, after, right - others[1])
     for k, inside in enumerate((_within(t, left, before), _within(t, after, right))):
         count = inside.stop - inside.start
         if count < edge:
             return None
+        left_over = straight[k].stop - straight[k].start
+        if edge and left_over >= max(2 * edge, _LEFT_OVER * count):
+            inside, count = straight[k], left_over
         lines.append(_line(t[inside], value[inside], np.ones(count)))
         if coarse > 0.0:
             # One of the readings, also where as many are at the next.

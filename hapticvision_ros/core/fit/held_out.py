@@ -59,7 +59,7 @@ from hapticvision_ros.core.fit.data import (
     reads_at_moments,
 )
 from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise, rounding
+from hapticvision_ros.core.fit.noise import estimate_noise, in_motion, Noise, pool_noise, rounding
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -362,6 +362,7 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
     size = sum(part.residual.size for part in parts)
     rmse = math.sqrt(sum(float(part.residual @ part.residual) for part in parts) / size)
     air, doubt, count = 0.0, 0.0, 0
+    coarse = max(rounding(part.measured) for part in parts)
     for part in parts:
         # As measured: what a model misses after the touch may move its onset ahead of it.
         early = part.measured[part.phase == 0]
@@ -369,18 +370,18 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
         if early.size >= _FEWEST:
             noise = _about_a_line(early)
             count += early.size
-            air += float(noise @ noise) * early.size / (early.size - 2)
+            # A coarse sensor may read the same without contact, and rounds in it.
+            rounded = in_motion(early, coarse) if coarse > 0.0 else 0.0
+            air += max(float(noise @ noise) / (early.size - 2), rounded**2) * early.size
             doubt += early.size * _memory(noise)
-    # A coarse sensor may read the same without contact, and rounds in it.
-    coarse = max(rounding(part.measured) for part in parts)
     if count >= _BASELINE:
         quiet, error = math.sqrt(air / count), math.sqrt(0.5 * doubt) / count
     elif local.value is None and coarse == 0.0:
         return local
     else:
         quiet, error = local.value or 0.0, _LOCAL_ERROR
-    if coarse > quiet:
-        quiet = math.hypot(quiet, coarse)
+        if coarse > quiet:
+            quiet = math.hypot(quiet, coarse)
     value = quiet if rmse > quiet * (1.0 + _DOUBT * error) else rmse
     largest = max(float(np.abs(part.measured).max()) for part in parts)
     if value <= _ROUNDING * largest:

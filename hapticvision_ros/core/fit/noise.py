@@ -31,6 +31,7 @@ from typing import Final
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
+from scipy.special import ndtr
 
 _WINDOW: Final = 16
 _MIN_BASELINE: Final = 32
@@ -46,6 +47,11 @@ _MULTIPLES: Final = 4
 _FEWEST_STEPS: Final = 16
 _FEWEST_TURNS: Final = 3
 """Times that a quick tool goes on by a step more or less; fewer are chance."""
+_RESTS: Final = 41
+"""Places between two readings that are tried."""
+_DITHER: Final = (0.02, 1.5, 160)
+"""Least and greatest noise that is tried, over the step of a reading, and how many."""
+_NEVER: Final = 1e-300
 _MOST_WINDOWS: Final = 4096
 """Windows that are looked at: their median is known to half a percent."""
 
@@ -133,6 +139,47 @@ def rounding(value: FloatArray) -> float:
             step, _, turns = _step(changes, float(apart.min()))
             step = step if turns >= _FEWEST_TURNS else 0.0
     return step / math.sqrt(12.0)
+
+
+def in_motion(still: FloatArray, error: float) -> float:
+    """
+    Return the noise that a sensor which rounds has where what it reads goes on.
+
+    At rest near the middle of a reading it tells less than its noise, between two readings more;
+    over all places the error of rounding adds to the noise.
+
+    Parameters
+    ----------
+    still : ndarray, shape (n,)
+        What it reads at rest, about any zero.
+    error : float
+        Standard deviation of its error of rounding, of `rounding` [unit of `still`].
+
+    Returns
+    -------
+    float
+        Standard deviation [unit of `still`].
+
+    Notes
+    -----
+    Widrow and Kollar, Quantization Noise (Cambridge, 2008), chapters 4 and 7.
+
+    """
+    step = error * math.sqrt(12.0)
+    spread = float(np.std(still)) if still.size else 0.0
+    if step == 0.0 or spread >= step:
+        return spread
+    if spread == 0.0:
+        return error
+    reading = np.rint((still - still.min()) / step)
+    readings, counts = np.unique(reading, return_counts=True)
+    # Nobody knows where between the readings the sensor rests.
+    rests = float(reading.mean()) + np.linspace(-0.5, 0.5, _RESTS)[:, np.newaxis, np.newaxis]
+    noises = np.geomspace(*_DITHER)[:, np.newaxis]
+    share = ndtr((readings + 0.5 - rests) / noises) - ndtr((readings - 0.5 - rests) / noises)
+    likely = np.log(np.maximum(share, _NEVER)) @ counts
+    likeliest = np.unravel_index(int(np.argmax(likely)), likely.shape)[1]
+    return math.hypot(float(noises[likeliest, 0]) * step, error)
 
 
 def _step(changes: FloatArray, step: float) -> tuple[float, int, int]:

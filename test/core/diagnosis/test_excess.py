@@ -80,6 +80,16 @@ def test_a_coarse_load_cell_that_reads_the_same_in_air_is_not_louder_in_contact(
     assert heard(change=rounded) == ()
 
 
+def test_a_load_cell_that_rests_at_a_reading_is_not_louder_where_it_goes_through_them() -> None:
+    """Steps of one: at rest it mostly reads the same, in contact it rounds."""
+    dither = 0.3 * np.random.default_rng(5).standard_normal((2, 4000))
+    still, moved = np.round(dither[0]), np.linspace(0.0, 20.0, 4000)
+    parts = [('a', [still - still.mean()], np.round(moved + dither[1]) - moved)]
+    assert _held('force', parts, 1.0, 1e-6, 1.0 / np.sqrt(12.0), memory=0.0) is None
+    louder_one = [(name, quiet, 1.5 * loud) for name, quiet, loud in parts]
+    assert _held('force', louder_one, 1.0, 1e-6, 1.0 / np.sqrt(12.0), memory=0.0) is not None
+
+
 def test_a_coarse_range_sensor_that_reads_the_same_in_air_is_not_louder_in_contact(
     heard: Any,
 ) -> None:
@@ -244,9 +254,9 @@ def test_a_few_heights_in_each_trial_are_held_against_their_noise_together(
 def test_one_sample_that_is_astray_is_no_trial_that_is_louder() -> None:
     random = np.random.default_rng(9)
     quiet, loud = random.standard_normal((2, 400))
-    parts = [('a', quiet, loud), ('b', np.empty(0), np.array([6.0]))]
+    parts: list[Any] = [('a', [quiet], loud), ('b', [], np.array([6.0]))]
     assert _held('force', parts, 1.0, 1e-6, memory=0.0) is None
-    louder_one = [*parts, ('c', np.empty(0), 2.5 * random.standard_normal(60))]
+    louder_one = [*parts, ('c', [], 2.5 * random.standard_normal(60))]
     found = _held('force', louder_one, 1.0, 1e-6, memory=0.0)
     assert found is not None
     assert found.trial == 'c'

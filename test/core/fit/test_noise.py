@@ -14,7 +14,7 @@
 
 """What a sensor rounds is told from its readings."""
 
-from hapticvision_ros.core.fit.noise import rounding
+from hapticvision_ros.core.fit.noise import in_motion, rounding
 import numpy as np
 import pytest
 
@@ -70,3 +70,21 @@ def test_no_steps_are_seen_where_there_are_none() -> None:
     assert rounding(np.array([0.0, 1.0])) == 0.0
     # Nor where the least change is far below what lies between the others.
     assert rounding(np.cumsum(np.tile([0.137, 10.0, 11.03, 14.41], 50))) == 0.0
+
+
+@pytest.mark.parametrize('rest', [0.0, 0.2, 0.5])
+@pytest.mark.parametrize('noise', [0.2, 0.3, 0.6])
+def test_what_is_read_at_rest_tells_the_noise_in_motion(rest: float, noise: float) -> None:
+    """Over steps of one; at rest between two readings it is up to twice that in the middle."""
+    dither = noise * np.random.default_rng(3).standard_normal((2, 20000))
+    still = np.round(rest + dither[0])
+    moved = np.linspace(0.0, 50.0, 20000)
+    expected = np.std(np.round(moved + dither[1]) - moved)
+    assert in_motion(still - still.mean(), 1.0 / np.sqrt(12.0)) == pytest.approx(
+        expected, rel=0.03
+    )
+
+
+def test_a_sensor_that_reads_the_same_at_rest_rounds_in_motion() -> None:
+    assert in_motion(np.zeros(100), 0.3) == 0.3
+    assert in_motion(np.array([-1.0, 1.0] * 50), 0.0) == 1.0
