@@ -314,7 +314,16 @@ class Workbench:
         noise = near.force_noise, near.height_noise, near.blur
         known = begin.residual, begin.jacobian
         try:
-            return self._settled(problem, begin.theta, *noise, known=known)
+            found = self._settled(problem, begin.theta, *noise, known=known)
+            if set(near.model.effects) < set(model.effects) and found.deviance > near.deviance:
+                # More effects explain no less: a blur and a noise that are the most likely ones
+                # beside each other need not be so of all.
+                problem.set_noise(near.force_noise, near.height_noise, near.jumps)
+                blurred = self._settled(problem, begin.theta, *noise, known=known, blurred=True)
+                found = min(found, blurred, key=lambda each: each.deviance)
+                # What is asked of the problem goes with the noise that was kept.
+                problem.set_noise(found.force_noise, found.height_noise, found.jumps)
+            return found
         except NotFiniteError:
             return None
 
@@ -639,11 +648,14 @@ class Workbench:
         height: SensorNoise,
         blur: Blur,
         known: Evaluated | None = None,
+        *,
+        blurred: bool = False,
     ) -> Refit:
         """
         Return the best parameters and the noise that goes with them.
 
-        What is `known` is what the problem was evaluated to at the state beside its noise.
+        What is `known` is what the problem was evaluated to at the state beside its noise. Moments
+        of jumps are no better known than before where that is `blurred`.
         """
         best, at_best, begin = None, None, state
         for turn in range(_ROUNDS):
@@ -651,7 +663,7 @@ class Workbench:
             # A jump that is misplaced passes for one whose moment is not known.
             moved = turn > 0 and replace_onsets(problem, state, force, SHARPEST)
             if moved:
-                blur = problem.sharpest(state, force, blur)
+                blur = blur if blurred else problem.sharpest(state, force, blur)
                 problem.set_noise(force, height, problem.unsure(state, blur))
                 known = None
             try:
@@ -670,7 +682,7 @@ class Workbench:
             state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
-            blur = problem.sharpest(state, force, blur)
+            blur = blur if blurred else problem.sharpest(state, force, blur)
             jumps = problem.unsure(state, blur)
             problem.set_noise(force, height, jumps)
             known = problem.evaluate(state)

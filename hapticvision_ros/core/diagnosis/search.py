@@ -124,6 +124,14 @@ _LITTLE: Final = 0.1
 """Part of these that shows what they would take out."""
 _PROMISING: Final = 0.1
 """Part of what effects take out that these must promise to take out to look further."""
+_SHARPER: Final = 20.0
+"""
+What the forces must take out beside what was found, by another way of the arm, to look again.
+
+Each of up to four numbers takes out one by chance.
+"""
+_MOST_RIVALS: Final = 3
+"""Rivals of a single effect beside which that is looked for as well."""
 _NEAR: Final = 0.7
 """Part of the leader's gain from which on another is not told from it while a rest is left."""
 _LEAST_SHARE: Final = 0.03
@@ -223,6 +231,21 @@ def diagnose(
             fewer = better or len(again.effects) < len(outcome.effects)
             if fewer or (outcome.rest and again.unexplained is None):
                 return again
+        if outcome.effects:
+            sharper = _sharpened(trials, prepared, before, outcome, workers, arm, corners)
+            if sharper is not None:
+                tell('looking again, with how the forces tell that the arm changes its speed')
+                again = diagnose(
+                    trials,
+                    progress=progress,
+                    workers=workers,
+                    limits=limits,
+                    dated=dated,
+                    servo=sharper,
+                )
+                as_few = len(again.effects) <= len(outcome.effects)
+                if as_few and (outcome.rest or again.unexplained is None):
+                    return again
     after = before
     if outcome.effects:
         tell('fitting the model with ' + ', '.join(outcome.effects))
@@ -313,48 +336,113 @@ def _otherwise(
 
     def better(tried: tuple[Servo, Refit]) -> tuple[Servo, bool] | None:
         arm, without = tried
-        start = told(corners, arm)
-        steps = _open_ways(corners, arm)
-        paid = sum(price(bench, name) for name in without.model.effects)
-        nearest, least_cost = without, math.inf
-
-        def cost(x: FloatArray) -> float:
-            nonlocal nearest, least_cost
-            other = arm.changed(*(x @ steps).tolist())
-            there = Workbench(along(trials, prepared, other), scatter, memory)
-            # The best so far is nearer than what the arm as it was left.
-            found = there.taken_over(nearest)
-            total = found.deviance + paid + told(corners, other) - start
-            if total < least_cost:
-                nearest, least_cost = found, total
-            return total
-
-        # What a little of each change would take out shows whether to look further, where jumps
-        # are not taken to come at any moment.
-        little = [
-            _moved(bench, without, along(trials, prepared, arm.changed(*step)))
-            for step in (_LITTLE * steps).tolist()
-        ]
-        columns = [
-            Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
-            for of in zip(*little, strict=True)
-        ]
-        promised = bench.smooth(without, columns, again=False).gain
         least = worth(bench, without)
-        if promised < _PROMISING * (least - reached) and without.blur.later < BLUNT:
+        promise = 0.0 if without.blur.later >= BLUNT else _PROMISING * (least - reached)
+        way = _best_way(bench, without, arm, (trials, prepared, corners), promise, least - reached)
+        if way is None:
             return None
-
-        def hopeful(turn: int, best: float) -> bool:
-            return turn < _ARM_LOOKS or least - best > _ON_THE_WAY * (least - reached)
-
-        nowhere, sizes = np.zeros(len(steps)), np.ones(len(steps))
-        left, x = minimum(cost, nowhere, sizes, turns=_ARM_TURNS, hopeful=hopeful)
-        found = arm.changed(*(x @ steps).tolist())
+        found, left = way
         return (found, left < reached - LEAD) if left < reached + LEAD else None
 
     jobs = [(arm, without) for arm in arms for without in smaller]
     found = parallel.each(better, jobs, workers)
     return next((each for each in found if each is not None), None)
+
+
+def _sharpened(
+    trials: Sequence[tuple[Trial, Segmentation]],
+    prepared: Sequence[FitTrial | None],
+    before: Fit,
+    outcome: '_Outcome',
+    workers: int,
+    known: Servo,
+    corners: Sequence[Corner],
+) -> Servo | None:
+    """
+    Return how the arm changes its speed as the forces tell it beside the effects that were found.
+
+    Dashpots make a force of a speed that is off by less than encoders tell, and of two effects
+    that are much alike that one leads which makes up for it. None where the forces tell no more.
+    """
+    bench = Workbench(before.problem.trials, outcome.scatter, before.noise.memory)
+    models = [outcome.chosen]
+    if len(outcome.effects) == 1:
+        (leader, *others) = sorted(
+            (each for each in outcome.rounds[0].candidates if each.refit is not None),
+            key=lambda each: -each.gain,
+        )
+        models += [
+            each.refit
+            for each in others[:_MOST_RIVALS]
+            if each.refit is not None and each.gain > _OPEN * leader.gain
+        ]
+
+    def way(model: Refit) -> tuple[float, Servo] | None:
+        measured = trials, prepared, corners
+        found = _best_way(bench, model, known, measured, _SHARPER, _SHARPER)
+        return None if found is None else (found[1], found[0])
+
+    found = [each for each in parallel.each(way, models, workers) if each is not None]
+    if not found:
+        return None
+    left, servo = min(found, key=lambda each: each[0])
+    return servo if left < worth(bench, outcome.chosen) - _SHARPER else None
+
+
+def _best_way(
+    bench: Workbench,
+    model: Refit,
+    arm: Servo,
+    measured: tuple[
+        Sequence[tuple[Trial, Segmentation]], Sequence[FitTrial | None], Sequence[Corner]
+    ],
+    promise: float,
+    hoped: float,
+) -> tuple[Servo, float] | None:
+    """
+    Return how an arm goes beside a model as encoders and forces tell it, and what that leaves.
+
+    None where a little of each change does not promise to take out as much as it should; the
+    search ends where it does not come near to taking out what is hoped for.
+    """
+    trials, prepared, corners = measured
+    scatter, memory = bench.scatter, bench.memory
+    start = told(corners, arm)
+    steps = _open_ways(corners, arm)
+    paid = sum(price(bench, name) for name in model.model.effects)
+    nearest, least_cost = model, math.inf
+
+    def cost(x: FloatArray) -> float:
+        nonlocal nearest, least_cost
+        other = arm.changed(*(x @ steps).tolist())
+        there = Workbench(along(trials, prepared, other), scatter, memory)
+        # The best so far is nearer than what the arm as it was left.
+        found = there.taken_over(nearest)
+        total = found.deviance + paid + told(corners, other) - start
+        if total < least_cost:
+            nearest, least_cost = found, total
+        return total
+
+    # What a little of each change would take out shows whether to look further, where jumps
+    # are not taken to come at any moment.
+    little = [
+        _moved(bench, model, along(trials, prepared, arm.changed(*step)))
+        for step in (_LITTLE * steps).tolist()
+    ]
+    columns = [
+        Columns(np.vstack([c.force for c in of]), np.vstack([c.height for c in of]))
+        for of in zip(*little, strict=True)
+    ]
+    if bench.smooth(model, columns, again=False).gain < promise:
+        return None
+    least = worth(bench, model)
+
+    def hopeful(turn: int, best: float) -> bool:
+        return turn < _ARM_LOOKS or least - best > _ON_THE_WAY * hoped
+
+    nowhere, sizes = np.zeros(len(steps)), np.ones(len(steps))
+    left, x = minimum(cost, nowhere, sizes, turns=_ARM_TURNS, hopeful=hopeful)
+    return arm.changed(*(x @ steps).tolist()), left
 
 
 def _open_ways(corners: Sequence[Corner], arm: Servo) -> FloatArray:

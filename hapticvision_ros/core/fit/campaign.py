@@ -60,6 +60,7 @@ from hapticvision_ros.core.fit.noise_model import (
 from hapticvision_ros.core.fit.start import identify
 from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.models.motion import acceleration
+from hapticvision_ros.core.models.three_element import ThreeElement
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD, runs
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
@@ -155,6 +156,8 @@ _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _LOST: Final = 10.0
 """Misfit over the noise from which on the base model may be in a wrong valley."""
+_MISSED: Final = 2.0
+"""The same from which on the body that most trials tell by themselves is tried as well."""
 _HOPS: Final = 4
 _BESIDE: Final = tuple(
     np.array(factors)
@@ -1596,6 +1599,10 @@ def _guess(air: FloatArray, whole: FloatArray) -> float:
     return NORMAL_FROM_MAD * float(np.median(curvature)) / math.sqrt(6.0)
 
 
+def _of_body(body: ThreeElement) -> tuple[float, float, float]:
+    return body.K1, body.C1, body.C2
+
+
 def _search(
     trials: Sequence[FitTrial],
     model: Model,
@@ -1605,8 +1612,8 @@ def _search(
 ) -> tuple[Problem, list[FloatArray], dict[str, float]]:
     """Return the problem with white noise, states from several starts, and the base's body."""
     base = Model()
-    body = identify(trials, force_noise.std)
-    values = {'K1': body.K1, 'C1': body.C1, 'C2': body.C2}
+    body = _of_body(identify(trials, force_noise.std))
+    values = dict(zip(('K1', 'C1', 'C2'), body, strict=True))
     problem = Problem(base, trials)
     given = {} if start is None else dict(start)
     starts = [values]
@@ -1617,6 +1624,11 @@ def _search(
         starts.append({name: given.get(name, value) for name, value in values.items()})
     ends = [_ended(problem, each, force_noise, height_noise) for each in starts]
     samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in trials)
+    if len(trials) > 1 and min(end.squares for end in ends) > _MISSED**2 * samples:
+        # Where contacts are told wrongly all trials together mislead; most by themselves may not.
+        each = np.array([_of_body(identify([trial], force_noise.std)) for trial in trials])
+        usual = dict(zip(values, np.exp(np.median(np.log(each), axis=0)), strict=True))
+        ends.append(_ended(problem, usual, force_noise, height_noise))
     for _ in range(_HOPS):
         # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
         ends.sort(key=lambda end: end.deviance)

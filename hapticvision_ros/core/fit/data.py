@@ -158,6 +158,8 @@ _MORE_CORNERS: Final = 24
 _SHORTEST: Final = 4
 """Fewer samples between two that the path goes through have no line of their own."""
 _CLEAR: Final = 4.0
+_CROWDED: Final = 32
+"""Changes of speed that may as well be a curve which shapes of arms follow in pieces."""
 _LOOSE: Final = 3
 """Corners that no shape follows, from which on a tool may go along a curve."""
 _DITHERED: Final = 1.4
@@ -1854,7 +1856,11 @@ def _path(
     # What is nearly exact is noise between samples all the same, where no shapes follow them.
     if not exact or (
         read > _EXACT[0] * depth
-        and (found is None or _loose(found) >= min(_LOOSE, _timed(found) + 1))
+        and (
+            found is None
+            or found[0].size > _CROWDED
+            or _loose(found) >= min(_LOOSE, _timed(found) + 1)
+        )
     ):
         way = _smooth_way(t[slice(*near)], value[slice(*near)], found, read)
     if way is not None:
@@ -1902,7 +1908,7 @@ def _smooth_way(
     if found is not None:
         corners = found[0].size - 2 - len(_bends(found[2]))
         least = _misfit(t, value, found, noise, alike)
-        if corners < _LOOSE and least < _BADLY * samples:
+        if corners < _LOOSE and least < _BADLY * samples and found[0].size <= _CROWDED:
             return None
         if samples < t.size and _creeps(value, step):
             return None
@@ -2347,14 +2353,21 @@ def _bend(
         before = start - edge * step
     if is_short[1]:
         after = stop + edge * step
-    straight = _within(t, left + others[0], before), _within(t, after, right - others[1])
+    # Nearer to its own corners where little is left between two changes of speed.
+    near = 0.5 * margin
+    straights = [
+        (_within(t, left + others[0], before), _within(t, left + others[0], start - near)),
+        (_within(t, after, right - others[1]), _within(t, stop + near, right - others[1])),
+    ]
     for k, inside in enumerate((_within(t, left, before), _within(t, after, right))):
         count = inside.stop - inside.start
         if count < edge:
             return None
-        left_over = straight[k].stop - straight[k].start
-        if edge and left_over >= max(2 * edge, _LEFT_OVER * count):
-            inside, count = straight[k], left_over
+        for straight in straights[k]:
+            left_over = straight.stop - straight.start
+            if edge and left_over >= max(1.5 * edge, _LEFT_OVER * count):
+                inside, count = straight, left_over
+                break
         lines.append(_line(t[inside], value[inside], np.ones(count)))
         if coarse > 0.0:
             # One of the readings, also where as many are at the next.

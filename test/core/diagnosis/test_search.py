@@ -24,7 +24,7 @@ from hapticvision_ros.core import pipeline
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import search
 from hapticvision_ros.core.diagnosis.records import Diagnosis, Unexplained
-from hapticvision_ros.core.diagnosis.refit import Workbench
+from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.search import (
     _contenders,
     _parted,
@@ -34,7 +34,7 @@ from hapticvision_ros.core.diagnosis.search import (
 )
 from hapticvision_ros.core.diagnosis.selection import Round, Trialled
 from hapticvision_ros.core.fit import data, way
-from hapticvision_ros.core.fit.bend import told
+from hapticvision_ros.core.fit.bend import Servo, told
 from hapticvision_ros.core.fit.campaign import fit_prepared
 from hapticvision_ros.core.fit.data import arm_of, prepare
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
@@ -396,6 +396,42 @@ def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
     assert (found.status, found.effects) == ('none', ())
     # By what the encoders alone tell of the stops, there would be something.
     assert first == [True]
+
+
+def _beside(made: Any, servo: Servo) -> tuple[Any, Workbench, Refit]:
+    """Return the trials of an arm, a bench of them, and the base model."""
+    prepared, _ = prepare(made, servo=servo)
+    before = fit_prepared(prepared, Model())
+    bench = Workbench(before.problem.trials, None, before.noise.memory)
+    return prepared, bench, bench.base(before)
+
+
+def test_the_forces_tell_how_the_arm_goes_beside_a_model(smoothed: Any) -> None:
+    """Where it does so otherwise than the encoders have told, by less than these can tell."""
+    made = smoothed(
+        Body(1000.0, 4000.0, 6000.0),
+        (0.0028, 0.0013, 0.002),
+        speed=0.0027,
+        smooth=0.064,
+        lag=0.001,
+        resolution=2e-6,
+        noise=0.01,
+    )
+    arm, corners = arm_of(made)
+    assert arm is not None
+    slower = replace(arm, duration=1.08 * arm.duration)
+    (prepared, bench, base), (_, _, known) = (_beside(made, servo) for servo in (slower, arm))
+    measured = made, prepared, corners
+    way = search._best_way(bench, base, slower, measured, search._SHARPER, search._SHARPER)
+    assert way is not None
+    found, left = way
+    assert left < base.deviance - 10.0 * search._SHARPER
+    # What the encoders tell of both arms counts as well.
+    assert left < known.deviance + told(corners, arm) - told(corners, slower) + 1.0
+    assert told(corners, found) < told(corners, slower)
+    # Nothing is looked for where so much is not to be gained.
+    much = base.deviance - left
+    assert search._best_way(bench, base, slower, measured, 2.0 * much, much) is None
 
 
 def test_an_arm_that_ripples_is_no_effect() -> None:

@@ -14,14 +14,17 @@
 
 """The fit of a whole campaign, on trials in closed form: what it finds, and how sure it is."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import importlib.util
 import math
 from pathlib import Path
 import sys
+from typing import Any
 
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.fit import campaign as fitting
 from hapticvision_ros.core.fit.campaign import (
     _jump_variance,
     _jumps,
@@ -33,9 +36,10 @@ from hapticvision_ros.core.fit.campaign import (
     Problem,
     replace_onsets,
 )
-from hapticvision_ros.core.fit.data import prepare
+from hapticvision_ros.core.fit.data import FitTrial, prepare
 from hapticvision_ros.core.fit.intervals import profile_intervals
 from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.models.three_element import ThreeElement
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim import campaigns, specimen, strengths
@@ -519,6 +523,34 @@ def test_a_base_fit_that_is_lost_is_looked_for_elsewhere() -> None:
     result = fit_prepared(prepared, Model())
     assert np.exp(result.theta[:3]) == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
     assert result.noise.force.std == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize('lost', [True, False])
+def test_the_body_that_most_trials_tell_is_a_start_where_all_together_mislead(
+    lost: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trials, _ = prepare(campaign(1, 3))
+    begun: list[list[float]] = []
+    ended, identify = fitting._ended, fitting.identify
+
+    def mislead(some: Sequence[FitTrial], noise: float) -> ThreeElement:
+        body = identify(some, noise)
+        return body if len(some) == 1 or not lost else replace(body, K1=30.0 * body.K1)
+
+    def stuck(problem: Problem, values: Mapping[str, float], *noises: SensorNoise) -> Any:
+        begun.append(list(values.values()))
+        end = ended(problem, values, *noises)
+        return end._replace(squares=1e3 * end.squares) if lost else end
+
+    monkeypatch.setattr(fitting, '_ended', stuck)
+    monkeypatch.setattr(fitting, 'identify', mislead)
+    fit_prepared(trials, Model())
+    each = [identify([trial], 0.01) for trial in trials if trial is not None]
+    own = np.median([(body.K1, body.C1, body.C2) for body in each], axis=0)
+    tried = [values for values in begun if values == pytest.approx(own, rel=0.2)]
+    assert len(tried) == 1
+    # All together tell it as well where they are not misled.
+    assert (begun[0] in tried) is not lost
 
 
 def test_what_a_model_lacks_does_not_move_a_touch_that_jumps() -> None:
