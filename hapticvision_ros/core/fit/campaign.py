@@ -74,6 +74,8 @@ _SETTLED: Final = 0.03
 """Relative change of the noise at which a further round is not worth it."""
 _UNTOLD: Final = 0.7
 """Standard error of a logarithm from which on a parameter is not told: a factor of two."""
+_UNTOLD_LINEAR: Final = 100.0
+"""The same of a parameter that is none, over its value or, where that is more, a usual one."""
 _QUICK: Final = 20.0
 _BRIEF: Final = 0.01
 """Relaxation, in samples and over the contact, below which the force of a push may show none."""
@@ -2077,7 +2079,7 @@ def _result(prepared: Sequence[FitTrial | None], end: _End, known: Sequence[str]
     model, p, state = problem.model, problem.p, solution.theta
     covariance = solution.covariance()
     warnings = list(known)
-    parameters = _estimates(model, solution, covariance[:p, :p])
+    parameters = _estimates(problem, solution, covariance[:p, :p])
     warnings += [f'{name} is unknown: {e.reason}' for name, e in parameters.items() if not e.known]
     fitted: list[TrialFit | None] = []
     indices = iter(range(len(problem.trials)))
@@ -2155,10 +2157,20 @@ def _aside(what: str, times: Sequence[float]) -> str:
     return f'{len(times)} {stand} set aside (at {first}{more} s)'
 
 
-def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict[str, Estimate]:
+def _estimates(
+    problem: Problem, solution: Solution, covariance: FloatArray
+) -> dict[str, Estimate]:
     """Return the shared parameters, unknown with a reason where the trials cannot tell them."""
+    model = problem.model
     values = model.values(solution.theta[: len(model.names)])
     std = np.sqrt(np.diag(covariance))
+    usual = np.abs(values)
+    linear = ~np.array(model.log)
+    if np.any(linear & (std > _UNTOLD_LINEAR * usual)):
+        # What is about zero may be told well all the same.
+        scale = scale_of(problem, solution.theta, *values[:3].tolist())
+        guess = np.abs(model.values(model.first_guess(scale)))
+        usual = np.where(guess > 0.0, np.maximum(usual, guess), np.inf)
     known = np.isfinite(std) & (std > 0.0)
     estimates = {}
     for i, name in enumerate(model.names):
@@ -2197,6 +2209,12 @@ def _estimates(model: Model, solution: Solution, covariance: FloatArray) -> dict
             estimates[name] = Estimate.unknown(
                 f'these trials tell it only to within a factor of '
                 f'{math.exp(min(std[i], 20.0)):.2g}{tie}'
+            )
+            continue
+        if not log and std[i] > _UNTOLD_LINEAR * usual[i]:
+            unit = '' if model.parameters[i].unit == '-' else f' {model.parameters[i].unit}'
+            estimates[name] = Estimate.unknown(
+                f'these trials tell it only to within {std[i]:.2g}{unit}'
             )
             continue
         estimates[name] = Estimate(value, float(std[i]) * (value if log else 1.0))

@@ -204,6 +204,29 @@ def test_yield_force_is_found(bingham) -> None:
         estimate = result.parameters[name]
         assert abs(estimate.value - value) < 4.0 * estimate.std, name
         assert estimate.std < 5e-3 * value, name
+    # A tenth of the largest force is usual.
+    end = result.problem.search(result.state, tolerance=1e-6, max_evaluations=3)
+    covariance = end.covariance()[:4, :4]
+    usual = 0.1 * max(float(trial.force.max()) for trial in result.problem.trials)
+    told = {}
+    for times in (30.0, 300.0):
+        covariance[3, 3] = (times * max(usual, body.yield_force)) ** 2
+        told[times] = fitting._estimates(result.problem, end, covariance)['F_y']
+    assert told[30.0].value == pytest.approx(body.yield_force, rel=0.02)
+    assert told[300.0].value is None
+    assert told[300.0].reason is not None
+    assert told[300.0].reason.startswith('these trials tell it only to within ')
+
+
+def test_what_is_about_zero_is_told_well() -> None:
+    """Beside its value its error is large."""
+    found = fit(campaign(0, 2), Model(('force_drift',)))
+    end = found.problem.search(found.state, tolerance=1e-6, max_evaluations=3)
+    covariance = end.covariance()[:4, :4]
+    name = found.model.names[3]
+    covariance[3, 3] = (1e3 * found.theta[3]) ** 2
+    told = fitting._estimates(found.problem, end, covariance)[name]
+    assert told.std == pytest.approx(1e3 * abs(found.theta[3]))
 
 
 def test_zeros_and_onsets_are_each_trials_own() -> None:
