@@ -27,7 +27,7 @@ import re
 from typing import Any, TYPE_CHECKING
 
 from hapticvision_ros.core.errors import InputError, UsageError
-from hapticvision_ros.core.units import AREA_UNITS, LENGTH_UNITS
+from hapticvision_ros.core.units import AREA_UNITS, LARGEST, LENGTH_UNITS
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
@@ -121,10 +121,14 @@ def _specimen(args: argparse.Namespace) -> 'Specimen | None':
         return None
     if args.area is None or args.height is None:
         raise UsageError('--area and --height belong together: give both.')
-    return Specimen(
-        quantity('--area', args.area, AREA_UNITS, 'm2', '0.0051 or 51cm2'),
-        quantity('--height', args.height, LENGTH_UNITS, 'm', '0.04 or 40mm'),
-    )
+    area = quantity('--area', args.area, AREA_UNITS, 'm2', '0.0051 or 51cm2')
+    height = quantity('--height', args.height, LENGTH_UNITS, 'm', '0.04 or 40mm')
+    for option, size, unit in (('--area', area, 'm2'), ('--height', height, 'm')):
+        if size > LARGEST:
+            raise UsageError(
+                f'{option} is {size:g} {unit}, which no specimen has: write its unit beside it.'
+            )
+    return Specimen(area, height)
 
 
 def quantity(

@@ -143,6 +143,8 @@ def run(args: argparse.Namespace) -> int:
     result, report = write_results(args.out, campaign, args.bags, args.hold_out, units)
     print_tables(campaign, units)
     print(f'\nWrote {result} and {report}.')
+    if campaign.before.fit is None:
+        raise InputError(f'{campaign.warnings[0]}.')
     return 0
 
 

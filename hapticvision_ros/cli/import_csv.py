@@ -24,7 +24,7 @@ import sys
 
 from hapticvision_ros.bag.csv_import import Column, DEFAULT_HEIGHT, import_csv, UNITS
 from hapticvision_ros.core.errors import HapticVisionError, UsageError
-from hapticvision_ros.core.units import LENGTH_UNITS, MM
+from hapticvision_ros.core.units import LARGEST, LENGTH_UNITS, MM
 
 EPILOG = f"""\
 A column is known by its name with the unit in it:
@@ -74,7 +74,10 @@ def _length(text: str) -> float:
     unit = match[2] or 'm' if match else ''
     if match is None or unit not in LENGTH_UNITS or float(match[1]) == 0.0:
         raise UsageError(f"--height '{text}' is no height: write it as 0.04 or 40mm.")
-    return float(match[1]) * LENGTH_UNITS[unit]
+    length = float(match[1]) * LENGTH_UNITS[unit]
+    if length > LARGEST:
+        raise UsageError(f'--height is {length:g} m, which is none: write its unit beside it.')
+    return length
 
 
 def _stamp_ns(text: str) -> int:

@@ -30,3 +30,5 @@ AREA_UNITS: Final = MappingProxyType({'m2': 1.0, 'cm2': 1e-4, 'mm2': 1e-6})
 MM: Final = LENGTH_UNITS['mm']
 KGF_PER_MM: Final = FORCE_UNITS['kgf'] / MM
 """1 kgf/mm [N/m]; also 1 kgf.s/mm [N.s/m]: the units of the paper's Tables 1 and 3."""
+LARGEST: Final = 10.0
+"""Length and area of what is pressed [m, m^2]: more has been meant in another unit."""

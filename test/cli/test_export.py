@@ -161,6 +161,8 @@ def test_the_reason_is_that_of_the_parameter_and_of_the_model(
         (['--format', 'json', '--area', '20cm2'], 'belong together'),
         (['--format', 'json', '--area', '20kg', '--height', '1'], "--area '20kg' is no size"),
         (['--format', 'json', '--area', '1', '--height', '0mm'], "--height '0mm' is no size"),
+        (['--format', 'json', '--area', '51', '--height', '0.04'], '--area is 51 m2, which no'),
+        (['--format', 'json', '--area', '51cm2', '--height', '40'], '--height is 40 m, which no'),
         (['--format', 'json', '--area', '1e400', '--height', '1'], "--area '1e400' is no size"),
         (['--format', 'json', '--area', '1', '--height', '1e-400'], "'1e-400' is no size"),
         (['--format', 'json', '--area', '1', '--height', '1e-322um'], "'1e-322um' is no size"),

@@ -240,6 +240,24 @@ def test_every_bag_that_cannot_be_analysed_is_named(
     assert not (tmp_path / 'out').exists()
 
 
+def test_bags_of_which_nothing_is_fitted_are_told_beside_what_they_tell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tool that comes down on nothing."""
+    bag = tmp_path / 'nothing'
+    with BagWriter(bag) as writer:
+        for index in range(800):
+            stamp = 10**9 + 5 * 10**6 * index
+            writer.write_wrench(stamp, (0.0, 0.0, 0.01 * (-1.0) ** index))
+            writer.write_float64(TOOL_HEIGHT, stamp, max(0.05 - 2e-5 * index, 0.04))
+            writer.write_float64(DISPLACEMENT_HEIGHT, stamp, 0.03)
+    assert _fit(bag, '--out', tmp_path / 'out') == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert 'there is no trial to fit: nothing: no contact was found' in error
+    result = json.loads((tmp_path / 'out' / 'result.json').read_text())
+    assert result['before']['parameters']['K1']['value'] is None
+
+
 def test_a_bag_named_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _fit(SLOW, '--out', tmp_path, '--hold-out', SLOW.parent / '.' / SLOW.name) == 2
     assert 'named twice' in capsys.readouterr().err

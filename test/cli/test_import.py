@@ -87,6 +87,7 @@ def test_columns_height_and_start_can_be_said(tmp_path: Path) -> None:
     [
         (('--height', '40 inch'), "--height '40 inch' is no height"),
         (('--height', '0'), "--height '0' is no height"),
+        (('--height', '40'), '--height is 40 m, which is none: write its unit beside it'),
         (('--start', 'yesterday'), "--start 'yesterday' is no time"),
         (('--column', 'force=a:N', '--column', 'force=b:N'), 'names force 2 times'),
         (('elsewhere/trial.csv',), "2 files would become the bag 'trial'"),

@@ -31,7 +31,6 @@ from typing import Final
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
-from scipy.special import ndtr
 
 _WINDOW: Final = 16
 _MIN_BASELINE: Final = 32
@@ -171,6 +170,8 @@ def in_motion(still: FloatArray, error: float) -> float:
         return spread
     if spread == 0.0:
         return error
+    from scipy.special import ndtr
+
     reading = np.rint((still - still.min()) / step)
     readings, counts = np.unique(reading, return_counts=True)
     # Nobody knows where between the readings the sensor rests.
