@@ -16,6 +16,7 @@
 
 import argparse
 from dataclasses import fields
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TYPE_CHECKING
 
@@ -58,6 +59,8 @@ GOAL_OPTIONS: Final = (
     'autonomous',
     *BUDGET_OPTIONS,
 )
+MISSPELT: Final = 0.8
+"""Likeness from which on the name of a file is taken for another one's that is not there."""
 RESTARTS: Final = 5
 """How often a node of the cell is started again when it has died."""
 
@@ -143,6 +146,12 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(f'--config {args.config} is no folder.')
         if not any((args.config / name).is_file() for name in known):
             raise InputError(f'--config {args.config} holds none of {", ".join(sorted(known))}.')
+        for path in sorted(args.config.glob('*.y*ml')):
+            meant = get_close_matches(path.name, known, n=1, cutoff=MISSPELT)
+            if meant and not (args.config / meant[0]).exists():
+                raise InputError(
+                    f'{path} is read by no node: rename it to {meant[0]}, or move it.'
+                )
     from hapticvision_ros.sim.config import load_config
 
     world = load_config(_file(args.config, WORLD_CONFIG))

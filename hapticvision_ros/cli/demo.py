@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Path('out', 'demo'),
         metavar='DIR',
         help=f'where each run makes a folder of its own (default: out/demo); the last {RUNS_KEPT} '
-        'are kept, older ones are deleted',
+        'that came to an end are kept, others are deleted',
     )
     parser.add_argument(
         '--silicone',
@@ -146,7 +146,11 @@ def run(args: argparse.Namespace) -> int:
 def _delete_old_runs(folder: Path) -> None:
     """Delete the folders of all runs but the last ones, to which another is about to come."""
     runs = sorted(path for path in folder.glob('*') if _is_run(path))
-    for path in runs[: len(runs) + 1 - RUNS_KEPT]:
+    # One that was interrupted takes no place of one that came to an end.
+    ended = [path for path in runs if (path / 'recorded' / 'result.json').is_file()]
+    beside_another = 1 - RUNS_KEPT
+    kept = {*ended[beside_another:], *runs[-1:]}
+    for path in sorted({*runs} - kept):
         shutil.rmtree(path, ignore_errors=True)
         print(f'Deleted the old run {path}: the last {RUNS_KEPT} are kept.', flush=True)
 

@@ -97,6 +97,19 @@ def test_a_parameter_file_that_is_none_is_told(tmp_path, capsys):
     assert 'is no ROS parameter file' in capsys.readouterr().err
 
 
+def test_a_parameter_file_whose_name_is_misspelt_is_told(tmp_path, capsys):
+    own = '/**: {ros__parameters: {max_speed: 0.005}}'
+    (tmp_path / 'load_cell_driver.yaml').write_text('/**: {ros__parameters: {}}')
+    (tmp_path / 'arm_push_controler.yaml').write_text(own)
+    run = ['cell', '--run', '--out', 'x', '--config', str(tmp_path), '--speeds', '0.008']
+    assert main(run) == 2
+    assert 'arm_push_controler.yaml is read by no node' in capsys.readouterr().err
+    # Beside the one that is meant it may be an older one.
+    (tmp_path / 'arm_push_controller.yaml').write_text(own)
+    assert main(run) == 2
+    assert 'up to 5 mm/s' in capsys.readouterr().err
+
+
 def running(parent: int) -> list[int]:
     """Return the processes that the kernel ends with `parent`, from their command lines."""
     found = []

@@ -206,16 +206,19 @@ def test_only_the_last_runs_are_kept_and_nothing_else_is_touched(
     for run in runs:
         write_config(run / 'config', demo.OWN_PARAMETERS)
         (run / 'bags').mkdir()
+    for run in runs[:3]:
+        (run / 'recorded').mkdir()
+        (run / 'recorded' / 'result.json').touch()
     others = [tmp_path / '20250101-120000', tmp_path / 'mine']
     for folder in others:
         folder.mkdir()
         (folder / 'notes.txt').touch()
     demo._delete_old_runs(tmp_path)
-    # With the one that is about to begin, three.
-    assert sorted(tmp_path.iterdir()) == sorted([*runs[3:], *others])
-    assert capsys.readouterr().out.count('Deleted the old run') == 3
+    # With the one that is about to begin, three that come to an end, and the last that did not.
+    assert sorted(tmp_path.iterdir()) == sorted([*runs[1:3], runs[4], *others])
+    assert capsys.readouterr().out.count('Deleted the old run') == 2
     demo._delete_old_runs(tmp_path)
-    assert len(list(tmp_path.iterdir())) == 4
+    assert len(list(tmp_path.iterdir())) == 5
     demo._delete_old_runs(tmp_path / 'nowhere')
 
 
