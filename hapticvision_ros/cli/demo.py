@@ -32,7 +32,7 @@ from typing import Any, Final, TYPE_CHECKING
 
 from hapticvision_ros.cli import cell
 from hapticvision_ros.cli.configuration import write_config
-from hapticvision_ros.cli.fit import fit_bags, print_tables, write_results
+from hapticvision_ros.cli.fit import check_fitted, fit_bags, print_tables, write_results
 from hapticvision_ros.core.errors import HapticVisionError, InputError
 from hapticvision_ros.share import share_folder
 
@@ -239,4 +239,5 @@ def _fit(title: str, bags: Sequence[Path], out: Path, model: 'Model | None' = No
     campaign = fit_bags(fitted, held_out, model)
     result, report = write_results(out, campaign, fitted, held_out, SI_UNITS)
     print_tables(campaign, SI_UNITS)
+    check_fitted(campaign)
     return [report, result]

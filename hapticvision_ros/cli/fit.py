@@ -143,9 +143,14 @@ def run(args: argparse.Namespace) -> int:
     result, report = write_results(args.out, campaign, args.bags, args.hold_out, units)
     print_tables(campaign, units)
     print(f'\nWrote {result} and {report}.')
+    check_fitted(campaign)
+    return 0
+
+
+def check_fitted(campaign: 'CampaignAnalysis') -> None:
+    """Raise an InputError that says why, where no trial could be fitted."""
     if campaign.before.fit is None:
         raise InputError(f'{campaign.warnings[0]}.')
-    return 0
 
 
 def fit_bags(

@@ -315,7 +315,8 @@ class Workbench:
         known = begin.residual, begin.jacobian
         try:
             found = self._settled(problem, begin.theta, *noise, known=known)
-            if set(near.model.effects) < set(model.effects) and found.deviance > near.deviance:
+            more = set(near.model.effects) < set(model.effects)
+            if more and found.deviance > near.deviance + _ENOUGH:
                 # More effects explain no less: a blur and a noise that are the most likely ones
                 # beside each other need not be so of all.
                 problem.set_noise(near.force_noise, near.height_noise, near.jumps)

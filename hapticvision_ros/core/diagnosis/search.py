@@ -243,8 +243,7 @@ def diagnose(
                     dated=dated,
                     servo=sharper,
                 )
-                as_few = len(again.effects) <= len(outcome.effects)
-                if as_few and (outcome.rest or again.unexplained is None):
+                if _is_as_good(again, outcome):
                     return again
     after = before
     if outcome.effects:
@@ -365,17 +364,7 @@ def _sharpened(
     that are much alike that one leads which makes up for it. None where the forces tell no more.
     """
     bench = Workbench(before.problem.trials, outcome.scatter, before.noise.memory)
-    models = [outcome.chosen]
-    if len(outcome.effects) == 1:
-        (leader, *others) = sorted(
-            (each for each in outcome.rounds[0].candidates if each.refit is not None),
-            key=lambda each: -each.gain,
-        )
-        models += [
-            each.refit
-            for each in others[:_MOST_RIVALS]
-            if each.refit is not None and each.gain > _OPEN * leader.gain
-        ]
+    models = [outcome.chosen, *_rivals(outcome)]
 
     def way(model: Refit) -> tuple[float, Servo] | None:
         measured = trials, prepared, corners
@@ -387,6 +376,36 @@ def _sharpened(
         return None
     left, servo = min(found, key=lambda each: each[0])
     return servo if left < worth(bench, outcome.chosen) - _SHARPER else None
+
+
+def _rivals(outcome: '_Outcome') -> list[Refit]:
+    """Return the best refits of other effects where a single one was chosen."""
+    if len(outcome.effects) != 1 or not outcome.rounds:
+        return []
+    tried = sorted(outcome.rounds[0].candidates, key=lambda each: -each.gain)
+    known = {without_law(outcome.effects[0])}
+    least = _OPEN * max(
+        (each.gain for each in tried if without_law(each.effect) in known), default=math.inf
+    )
+    rivals = list[Refit]()
+    for each in tried:
+        name = without_law(each.effect)
+        if each.refit is not None and each.gain > least and name not in known:
+            known.add(name)
+            rivals.append(each.refit)
+    return rivals[:_MOST_RIVALS]
+
+
+def _is_as_good(again: Diagnosis, outcome: '_Outcome') -> bool:
+    """Return whether a diagnosis with another arm needs no more effects and leaves no more."""
+    if len(again.effects) > len(outcome.effects):
+        return False
+    left, before = again.unexplained, outcome.unexplained
+    if left is None:
+        return True
+    return (
+        before is not None and bool(again.effects) and left.share_of_chi2 <= before.share_of_chi2
+    )
 
 
 def _best_way(

@@ -392,7 +392,7 @@ class ToolPath:
         a model that blurs the way would gain by that.
         """
         assert self.unsteady is not None
-        if self.t.size < _FEWEST:
+        if self.t.size < 3:
             return
         smooth = (self.unsteady[1:] > 0.0) & (self.unsteady[:-1] > 0.0)
         piece = np.clip(np.searchsorted(self.t, t, side='right') - 1, 0, self.t.size - 2)
@@ -2363,7 +2363,7 @@ def _bend(
         count = inside.stop - inside.start
         if count < edge:
             return None
-        for straight in straights[k]:
+        for straight in straights[k] if others[k] > 0.0 else ():
             left_over = straight.stop - straight.start
             if edge and left_over >= max(1.5 * edge, _LEFT_OVER * count):
                 inside, count = straight, left_over

@@ -50,7 +50,13 @@ _RESTS: Final = 41
 """Places between two readings that are tried."""
 _DITHER: Final = (0.02, 1.5, 160)
 """Least and greatest noise that is tried, over the step of a reading, and how many."""
-_NEVER: Final = 1e-300
+_GLITCH: Final = 1e-6
+"""Part of the readings that may be any."""
+_FEWEST_RESTS: Final = 8
+_PARTS: Final = 8
+"""Readings of a sensor at rest that tell a noise, and parts in which its zero hardly drifts."""
+_SEVERAL: Final = 2.0
+"""Steps by which a zero drifts through all places between two readings."""
 _MOST_WINDOWS: Final = 4096
 """Windows that are looked at: their median is known to half a percent."""
 
@@ -150,7 +156,7 @@ def in_motion(still: FloatArray, error: float) -> float:
     Parameters
     ----------
     still : ndarray, shape (n,)
-        What it reads at rest, about any zero.
+        What it reads at rest, about any zero, which may drift evenly.
     error : float
         Standard deviation of its error of rounding, of `rounding` [unit of `still`].
 
@@ -165,22 +171,35 @@ def in_motion(still: FloatArray, error: float) -> float:
 
     """
     step = error * math.sqrt(12.0)
-    spread = float(np.std(still)) if still.size else 0.0
-    if step == 0.0 or spread >= step:
+    if still.size < _FEWEST_RESTS:
+        return error
+    index = np.arange(still.size, dtype=np.float64)
+    noise = _line_residual(index, still)
+    spread = float(np.std(noise))
+    line = still - noise
+    moved = float(np.ptp(line))
+    # Over several readings what is seen about the line has the rounding in it already.
+    if step == 0.0 or spread >= step or moved >= _SEVERAL * step:
         return spread
-    if spread == 0.0:
+    if float(np.ptp(still)) == 0.0:
         return error
     from scipy.special import ndtr
 
     reading = np.rint((still - still.min()) / step)
-    readings, counts = np.unique(reading, return_counts=True)
+    part = np.minimum(index * _PARTS / still.size, _PARTS - 1).astype(np.intp)
+    place = np.array([(line[part == k] - still.min()).mean() / step for k in range(_PARTS)])
+    readings = np.unique(reading)
+    seen = reading == readings[:, np.newaxis]
+    counts = np.array([seen[:, part == k].sum(axis=1) for k in range(_PARTS)])
     # Nobody knows where between the readings the sensor rests.
-    rests = float(reading.mean()) + np.linspace(-0.5, 0.5, _RESTS)[:, np.newaxis, np.newaxis]
-    noises = np.geomspace(*_DITHER)[:, np.newaxis]
-    share = ndtr((readings + 0.5 - rests) / noises) - ndtr((readings - 0.5 - rests) / noises)
-    likely = np.log(np.maximum(share, _NEVER)) @ counts
+    rests = np.linspace(-0.5, 0.5, _RESTS)[:, np.newaxis, np.newaxis, np.newaxis]
+    noises = np.geomspace(*_DITHER)[:, np.newaxis, np.newaxis]
+    above = readings + 0.5 - rests - place[:, np.newaxis]
+    share = ndtr(above / noises) - ndtr((above - 1.0) / noises)
+    # A glitch tells nothing of the noise.
+    likely = np.sum(np.log(np.maximum(share, _GLITCH)) * counts, axis=(2, 3))
     likeliest = np.unravel_index(int(np.argmax(likely)), likely.shape)[1]
-    return math.hypot(float(noises[likeliest, 0]) * step, error)
+    return math.hypot(float(noises[likeliest, 0, 0]) * step, error)
 
 
 def _step(changes: FloatArray, step: float) -> tuple[float, int, int]:

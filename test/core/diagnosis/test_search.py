@@ -18,6 +18,7 @@
 from dataclasses import replace
 import math
 import re
+from types import SimpleNamespace
 from typing import Any
 
 from hapticvision_ros.core import pipeline
@@ -432,6 +433,73 @@ def test_the_forces_tell_how_the_arm_goes_beside_a_model(smoothed: Any) -> None:
     # Nothing is looked for where so much is not to be gained.
     much = base.deviance - left
     assert search._best_way(bench, base, slower, measured, 2.0 * much, much) is None
+
+
+def test_the_arm_is_looked_for_beside_what_was_chosen_and_its_rivals(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = world.measure(world.campaign(), YIELD, seed=2)
+    bench, base = measured.bench()
+    refits = {
+        name: bench.refit(Model((name,)), base)
+        for name in ('yield_force', 'force_lag', 'friction', 'inertia')
+    }
+
+    def tried(name: str, gain: float, law: str = '') -> Any:
+        return SimpleNamespace(effect=name + law, gain=gain, refit=refits[name])
+
+    candidates = (
+        # The first may have been refused; another law of what was chosen is no rival of it.
+        tried('force_lag', 120.0),
+        tried('yield_force', 100.0),
+        tried('yield_force', 95.0, ':held'),
+        tried('friction', 80.0),
+        tried('inertia', 30.0),
+    )
+    rounds = (SimpleNamespace(candidates=candidates),)
+    outcome: Any = SimpleNamespace(
+        chosen=refits['yield_force'], effects=('yield_force',), rounds=rounds, scatter=None
+    )
+    looked: list[Any] = []
+    left = {'yield_force': -25.0, 'force_lag': -30.0, 'friction': 50.0}
+    none = search.worth(bench, refits['yield_force'])
+
+    def way(_: Any, model: Refit, arm: Any, *__: Any) -> Any:
+        looked.append(model.model.effects)
+        return model.model.effects, none + left[model.model.effects[0]]
+
+    monkeypatch.setattr(search, '_best_way', way)
+    before, arm = fit_prepared(base.problem.trials, Model()), Servo(0.1, 0.5, 0.02, False, 0.1)
+    found = search._sharpened([], [], before, outcome, 1, arm, ())
+    assert looked == [('yield_force',), ('force_lag',), ('friction',)]
+    assert found == ('force_lag',)
+    left['force_lag'] = -15.0
+    left['yield_force'] = -15.0
+    assert search._sharpened([], [], before, outcome, 1, arm, ()) is None
+
+
+@pytest.mark.parametrize(
+    ('again', 'before', 'good'),
+    [
+        ((('a',), None), (('b',), None), True),
+        (((), None), (('b',), 0.1), True),
+        ((('a', 'c'), None), (('b',), None), False),
+        ((('a',), 0.1), (('b',), 0.3), True),
+        ((('a',), 0.3), (('b',), 0.1), False),
+        ((('a',), 0.1), (('b',), None), False),
+        (((), 0.05), (('b',), 0.1), False),
+    ],
+)
+def test_another_arm_is_taken_where_no_more_effects_leave_no_more(
+    again: Any, before: Any, good: bool
+) -> None:
+    first, second = (
+        SimpleNamespace(
+            effects=effects, unexplained=None if left is None else Unexplained(left, ('force',))
+        )
+        for effects, left in (again, before)
+    )
+    assert search._is_as_good(first, second) is good  # type: ignore[arg-type]
 
 
 def test_an_arm_that_ripples_is_no_effect() -> None:

@@ -87,4 +87,17 @@ def test_what_is_read_at_rest_tells_the_noise_in_motion(rest: float, noise: floa
 
 def test_a_sensor_that_reads_the_same_at_rest_rounds_in_motion() -> None:
     assert in_motion(np.zeros(100), 0.3) == 0.3
-    assert in_motion(np.array([-1.0, 1.0] * 50), 0.0) == 1.0
+    assert in_motion(np.array([-1.0, 1.0] * 50), 0.0) == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize('drift', [0.3, 1.0, 1.7, 3.0])
+@pytest.mark.parametrize('glitch', [0.0, 10.0, -10.0])
+def test_a_drift_and_a_glitch_at_rest_are_no_noise(drift: float, glitch: float) -> None:
+    dither = 0.25 * np.random.default_rng(4).standard_normal(2000)
+    still = np.round(drift * np.linspace(0.0, 1.0, 2000) + dither)
+    still[700] += glitch
+    # A glitch of ten steps is in the scatter about a line.
+    seen = 0.2 if glitch and drift > 2.0 else 0.05
+    assert in_motion(still, 1.0 / np.sqrt(12.0)) == pytest.approx(
+        np.hypot(0.25, 1.0 / np.sqrt(12.0)), rel=seen
+    )
