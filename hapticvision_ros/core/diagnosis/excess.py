@@ -519,7 +519,10 @@ def _held(
     memory: float,
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is or goes on for longer."""
-    told, size = _level([part for each in parts for part in each[1]], coarse)
+    # Of each trial, as a sensor may be noisier in one, in the air as well.
+    levels = [_level(each[1], coarse) for each in parts]
+    size = sum(count for _, count in levels)
+    told = math.sqrt(sum(count * level**2 for level, count in levels) / max(size, 1))
     whole = np.concatenate([np.empty(0), *(each[2] for each in parts)])
     if size < _FEWEST or whole.size < _FEW:
         return None
@@ -530,14 +533,12 @@ def _held(
     # One sample that is astray is no trial that is louder.
     known = [each for each in parts if each[2].size >= _FEW]
     squares = 0.0
-    for name, silent, loud in parts:
+    for (name, _, loud), (level, count) in zip(parts, levels, strict=True):
         if not loud.size:
             continue
         own = noise
-        told, size = _level(silent, coarse)
-        if size >= _OWN:
-            # A sensor may be noisier in one trial, in the air as well.
-            own = max(noise, told * (1.0 - _SIGMAS * math.sqrt(0.5 * alike / size)))
+        if count >= _OWN:
+            own = max(noise, level * (1.0 - _SIGMAS * math.sqrt(0.5 * alike / count)))
         squares += float(loud @ loud) / own**2
         if loud.size >= _FEW or not known:
             error = _SIGMAS * math.sqrt(0.5 * alike / loud.size)

@@ -365,16 +365,15 @@ def _sharpened(
     """
     bench = Workbench(before.problem.trials, outcome.scatter, before.noise.memory)
     models = [outcome.chosen, *_rivals(outcome)]
+    measured = trials, prepared, corners
 
-    def way(model: Refit) -> tuple[float, Servo] | None:
-        measured = trials, prepared, corners
-        found = _best_way(bench, model, known, measured, _SHARPER, _SHARPER)
-        return None if found is None else (found[1], found[0])
+    def way(model: Refit) -> tuple[Servo, float] | None:
+        return _best_way(bench, model, known, measured, _SHARPER, _SHARPER)
 
     found = [each for each in parallel.each(way, models, workers) if each is not None]
     if not found:
         return None
-    left, servo = min(found, key=lambda each: each[0])
+    servo, left = min(found, key=lambda each: each[1])
     return servo if left < worth(bench, outcome.chosen) - _SHARPER else None
 
 

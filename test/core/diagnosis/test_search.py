@@ -478,6 +478,29 @@ def test_the_arm_is_looked_for_beside_what_was_chosen_and_its_rivals(
     assert search._sharpened([], [], before, outcome, 1, arm, ()) is None
 
 
+def test_all_is_diagnosed_anew_with_the_arm_that_the_forces_tell(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = world.measure(world.campaign(hold=3.0, recover=2.0), YIELD, seed=2)
+    arm, _ = arm_of(measured.pairs)
+    assert arm is not None
+    other = replace(arm, duration=1.001 * arm.duration)
+    asked: list[Any] = []
+
+    def sharpened(*known: Any) -> Servo:
+        asked.append(known[5])
+        return other
+
+    monkeypatch.setattr(search, '_sharpened', sharpened)
+    said: list[str] = []
+    found = diagnose(measured.pairs, progress=said.append)
+    assert found.effects == ('yield_force',)
+    # Once, and with that arm no more.
+    assert asked == [arm]
+    assert sum(each.startswith('looking again') for each in said) == 1
+    assert {trial.path.servo for trial in found.before.problem.trials} == {other}
+
+
 @pytest.mark.parametrize(
     ('again', 'before', 'good'),
     [
