@@ -237,8 +237,9 @@ def write_results(
     result, report = out / 'result.json', out / 'report.html'
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_report(report, campaign, units)
+        # The result first: a disk may be too full for the page.
         write_json(result, document)
+        write_report(report, campaign, units)
     except OSError as error:
         raise InputError(
             f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
@@ -248,10 +249,10 @@ def write_results(
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write a JSON document so that `path` holds all of it or what it held before."""
-    from hapticvision_ros.report.writing import write_whole
+    from hapticvision_ros.report.writing import as_bytes, write_whole
 
     text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False)
-    write_whole(path.parent, [(path.name, (text + '\n').encode())])
+    write_whole(path.parent, [(path.name, as_bytes(text + '\n'))])
 
 
 def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:

@@ -220,7 +220,7 @@ def _done(
     """Write what was found of a bag, print it, and return its row of the table."""
     from hapticvision_ros.core.surface.document import PAIRS, shape_document
     from hapticvision_ros.report.shape import files, render_shape
-    from hapticvision_ros.report.writing import write_whole
+    from hapticvision_ros.report.writing import as_bytes, write_whole
 
     document = shape_document(
         study,
@@ -239,7 +239,7 @@ def _done(
             warnings=document['warnings'],
             made=made,
         )
-    made['shape.html'] = page.encode()
+    made['shape.html'] = as_bytes(page)
     with _told(out):
         write_whole(out, made.items())
         # An earlier run may have had more looks.

@@ -32,7 +32,7 @@ from hapticvision_ros.report.sections import (
     summary,
     trials,
 )
-from hapticvision_ros.report.writing import write_whole
+from hapticvision_ros.report.writing import as_bytes, write_whole
 
 type Fill = Callable[[CampaignAnalysis, UnitSystem], Mapping[str, object]]
 
@@ -102,7 +102,7 @@ def write_report(path: Path, campaign: CampaignAnalysis, units: UnitSystem = SI_
     """
     page = render(campaign, units)
     try:
-        write_whole(path.parent, [(path.name, page.encode())])
+        write_whole(path.parent, [(path.name, as_bytes(page))])
     except OSError as error:
         raise InputError(
             f'cannot write the report {path}: {error.strerror}; choose another --out.'

@@ -21,6 +21,11 @@ from pathlib import Path
 import tempfile
 
 
+def as_bytes(text: str) -> bytes:
+    """Return a text for a file; what a file's name holds that is no UTF-8 becomes ``?``."""
+    return text.encode(errors='replace')
+
+
 def write_whole(folder: Path, files: Iterable[tuple[str, bytes]]) -> None:
     """
     Write files into a folder: none is seen before all of them lie on the disk.

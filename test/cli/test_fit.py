@@ -14,6 +14,7 @@
 
 """The verb ``fit``: what it writes, what it refuses, and what it leaves behind when it fails."""
 
+import errno
 import io
 import json
 from pathlib import Path
@@ -157,6 +158,15 @@ def test_bags_of_one_name_in_two_folders_are_two_trials(
         json.loads((tmp_path / name / 'result.json').read_text()) for name in ('out', 'twins')
     )
     assert plain['before']['parameters'] == twins['before']['parameters']
+
+
+def test_names_of_bags_need_not_be_utf_8(tmp_path: Path) -> None:
+    odd = tmp_path / 'm\udce9' / 'p\udce9'
+    shutil.copytree(SLOW, odd)
+    assert _fit(odd, '--out', tmp_path / 'out', *BASE) == 0
+    result = json.loads((tmp_path / 'out' / 'result.json').read_text())
+    assert result['trials'][0]['bag'].endswith('/m?/p?')
+    assert 'p?' in (tmp_path / 'out' / 'report.html').read_text()
 
 
 class _Terminal(io.StringIO):
@@ -314,6 +324,18 @@ def test_an_out_that_cannot_be_a_folder_is_refused(
     assert len(errors) == 2
     assert all('--out' in error for error in errors)
     assert (tmp_path / 'file').read_text() == 'here'
+
+
+def test_a_disk_that_is_too_full_for_the_page_has_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr('hapticvision_ros.report.page.write_whole', full)
+    assert _fit(SLOW, '--out', tmp_path, *BASE) == 2
+    assert 'No space left' in capsys.readouterr().err
+    assert json.loads((tmp_path / 'result.json').read_text())['trials']
 
 
 def test_a_result_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:

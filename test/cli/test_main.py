@@ -58,6 +58,14 @@ def test_wrong_usage_is_one_sentence_and_exit_code_2(
     assert '--help' in shown.err
 
 
+@pytest.mark.parametrize('arguments', [['fit', 'a', '--out', ''], ['fit', '', '--out', 'b']])
+def test_an_empty_argument_is_no_folder(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert 'an argument is empty' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('message', ['no such bag', 'no such bag.'])
 def test_bad_input_is_one_sentence_and_exit_code_2(
     message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
