@@ -92,6 +92,13 @@ SURE: Final = 0.2
 LEAST_HOLD: Final = 0.5
 """Shortest hold that a relaxation time may ask for [s]."""
 
+_PROMPT: Final = 5e-4
+"""What is handed over within this time is of the moment at which it is sent [s]."""
+
+_UNUSUAL: Final = 2.0
+_DELAYS: Final = 101
+"""A delay is unusual at so many times the median of so many."""
+
 type Place = tuple[float, float]
 type HoldMode = Literal['fixed', 'auto']
 HOLD_MODES: Final[tuple[HoldMode, ...]] = ('fixed', 'auto')
@@ -156,6 +163,24 @@ class MeasuredTime:
         self._newest = max(self._newest, stamp)
         self._offset = min(self._offset, received - stamp)
         return stamp + self._offset
+
+
+class Punctuality:
+    """
+    Whether what was received came about as quickly as others do.
+
+    A number without a stamp is taken to be of the moment at which it is sent. What a busy machine
+    hands over late was measured earlier, and is better left out; what a slow network always delays
+    is not.
+    """
+
+    def __init__(self) -> None:
+        self._delays: deque[float] = deque(maxlen=_DELAYS)
+
+    def is_late(self, delay: float) -> bool:
+        """Return whether a delay [s] is longer than half a millisecond and than usual ones."""
+        self._delays.append(delay)
+        return delay > max(_PROMPT, _UNUSUAL * median(self._delays))
 
 
 class Command(NamedTuple):

@@ -58,6 +58,7 @@ from hapticvision_ros.core.push_control import (
     MeasuredTime,
     NO_PUSH,
     NOT_ALLOWED,
+    Punctuality,
     PushControl,
     PushGoal,
     PushLimits,
@@ -731,6 +732,7 @@ class ArmPushController(ManagedCellNode):
         # A tenth less, so that an arm of just this rate is not halved by its jitter.
         interval = 0.9 / self.parameters.real('tool_height_rate')
         next_publish = 0.0
+        punctuality = Punctuality()
         while not (self.stopping.is_set() or disconnecting.is_set()):
             try:
                 state = arm.read(timeout)[-1]
@@ -747,7 +749,8 @@ class ArmPushController(ManagedCellNode):
             height = state.tool_height if abs(state.tool_height) <= _FARTHEST else nan
             self._tool = Reading(measured, height)
             self._place = state.place
-            if now >= next_publish:
+            # The topic has no stamps, so that a late one would tell where the tool has been.
+            if not punctuality.is_late(now - measured) and now >= next_publish:
                 self._tool_height.publish(scalar_to_message(state.tool_height))
                 next_publish = now + interval
 

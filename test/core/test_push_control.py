@@ -27,6 +27,7 @@ from hapticvision_ros.core.push_control import (
     FAR_BACKWARD_STAMPS,
     LEAST_HOLD,
     MeasuredTime,
+    Punctuality,
     PushControl,
     PushGoal,
     PushLimits,
@@ -387,6 +388,18 @@ def test_drifting_clocks_do_not_make_fresh_samples_look_late():
         received = float(k)
         # A slow device clock: 100 parts in a million.
         assert received - measured.of(received * (1.0 - 1e-4), received) < 1e-3
+
+
+def test_what_is_handed_over_late_is_told_and_a_slow_network_is_not():
+    jitter = random.Random(1)
+    quick, slow = Punctuality(), Punctuality()
+    for k in range(1000):
+        delay = jitter.uniform(0.0, 4e-4)
+        assert not quick.is_late(delay)
+        assert not slow.is_late(5e-3 + delay)
+        if k % 5 == 4:
+            assert quick.is_late(1e-3 + delay)
+            assert slow.is_late(11e-3)
 
 
 @pytest.mark.parametrize('back', [0.06, 0.5, 1.0, 60.0])

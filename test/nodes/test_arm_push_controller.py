@@ -353,6 +353,35 @@ def test_an_arm_that_goes_aside_is_not_raised_again_and_again(ros, until, monkey
         node.destroy_node()
 
 
+class LateArm(AsideArm):
+    """An arm of which each fifth state is handed over 4 ms late, from 1 m."""
+
+    reads = 0
+
+    def read(self, timeout):
+        (state,) = super().read(timeout)
+        self.reads += 1
+        if self.reads % 5:
+            return [state]
+        time.sleep(0.004)
+        return [replace(state, tool_height=1.0)]
+
+
+def test_a_height_that_is_handed_over_late_is_not_published(ros, probe, until, monkeypatch):
+    tool = probe.listen(TOOL_HEIGHT)
+    arm = LateArm()
+    monkeypatch.setattr(ArmPushController, '_connect', lambda self: arm)
+    node = ArmPushController()
+    try:
+        until(lambda: len(tool) >= 100 and arm.reads >= 200, 'the heights', 20.0)
+    finally:
+        node.close()
+        node.destroy_node()
+    late = np.count_nonzero(np.array(texts(tool)) == 1.0)
+    # The first has nothing before it, and others may be held up for longer.
+    assert late <= 0.02 * len(tool) + 1
+
+
 LISTENER = """
 import rclpy
 from hapticvision_ros.bag.contract import PHASE
