@@ -70,6 +70,8 @@ SWINGS: Final = (0.5, 1.2)
 _SEARCHED: Final = np.array([0.3, 0.3, 0.4, 0.3])
 """First steps of a search: of duration, lag, jerk, and swing."""
 _MORE_SEARCHES: Final = 4
+_MORE_TURNS: Final = 200
+"""Searches that are begun again, and turns of each at most."""
 _APART: Final = 40.0
 """Deviance that a shape of its own takes out of a change of speed that is not made as others."""
 _LARGE: Final = 0.5
@@ -1009,7 +1011,8 @@ def _kindred(
     swing = float(np.median(swings))
     size = 5 if swing > 0.0 else 4
     start = np.array([0.0, 0.0, float(np.median(lags)) / scale, 0.5, swing])[:size]
-    left, best = minimum(cost, start, np.array([0.3, 0.3, 0.3, 0.4, 0.3])[:size])
+    sizes = np.array([0.3, 0.3, 0.3, 0.4, 0.3])[:size]
+    left, best = minimum(cost, start, sizes, near=0.0, turns=_MORE_TURNS)
     return left, *servos(best)
 
 
@@ -1117,8 +1120,9 @@ def _closest(
     """Return a servo to which a search leads that is begun again and again, as it was given."""
     cost = partial(_left, each, kind, longest)
     for _ in range(_MORE_SEARCHES):
-        # Clear changes of speed tell much more than the first search asks for.
-        closer, point = minimum(cost, x, _SEARCHED[: x.size])
+        # Clear changes of speed tell much more than the first search asks for: two points may be
+        # near and one of them by far the better.
+        closer, point = minimum(cost, x, _SEARCHED[: x.size], near=0.0, turns=_MORE_TURNS)
         if left - closer < 1.0:
             break
         worst, left, x = worst - left + closer, closer, point

@@ -51,6 +51,7 @@ from hapticvision_ros.core.fit.bend import (
 from hapticvision_ros.core.fit.glitches import find_glitches
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
+from hapticvision_ros.core.fit.short_move import short_move, ShortMove
 from hapticvision_ros.core.fit.simplex import minimum
 from hapticvision_ros.core.fit.way import keep, kept, Key, smooth, Way
 from hapticvision_ros.core.kernels import kernel
@@ -2253,13 +2254,27 @@ def _bent(
             _gap(knots, group[0] - 1, -1, _CORNER_SAMPLES * step),
             _gap(knots, group[-1] + 1, 1, _CORNER_SAMPLES * step),
         )
+        ways: list[tuple[Servo | None, tuple[float, float]]] = [(None, others)]
+        if mine is not None:
+            fades = turns[-1].bend.stop - around[0] if turns else 0.0
+            if fades > others[0]:
+                # What an arm leaves of the change of speed before is slow to fade.
+                ways.insert(0, (mine, (fades, others[1])))
+            ways.insert(0, (mine, others))
         # A quick push has few samples of the encoders before it stops.
         tried = (
-            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp, others=others)
-            for known in ((mine, None) if mine is not None else (None,))
+            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp, others=beyond)
+            for known, beyond in ways
             for edge in _EDGE_SAMPLES
         )
         found = next(filter(None, tried), None)
+        if found is None and mine is not None:
+            both = _short_move(t, value, knots, levels, group, step, noise, mine, others)
+            if both is not None:
+                new_knots += [at for turn in both for at, _ in turn.knots]
+                new_levels += [level for turn in both for _, level in turn.knots]
+                turns += both
+                continue
         gaps = np.diff(knots[group])
         waits = found is not None and found.shape.wait > 0.0 and not found.bend.common
         if (found is None or waits) and _are_apart(gaps, step):
@@ -2284,6 +2299,64 @@ def _bent(
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         return knots, levels, []
     return made, heights, turns
+
+
+def _short_move(
+    t: FloatArray,
+    value: FloatArray,
+    knots: FloatArray,
+    levels: FloatArray,
+    group: Sequence[int],
+    step: float,
+    noise: float,
+    servo: Servo,
+    others: tuple[float, float],
+) -> list[_Turned] | None:
+    """Return two changes of speed with too little between them for a line, if corners are both."""
+    first, last = group[0] - 1, group[-1] + 1
+    if servo.stops or servo.scaled or len(group) < _FEWEST_OF_A_RAMP:
+        return None
+    inside = slice(first, last + 1)
+    slopes = np.diff(levels[inside]) / np.diff(knots[inside])
+    beyond = slopes - 0.5 * (slopes[0] + slopes[-1])
+    quickest = int(np.argmax(np.abs(beyond)))
+    if not 0 < quickest < slopes.size - 1:
+        return None
+    lines = [
+        (levels[k] - slopes[j] * knots[k], slopes[j])
+        for j, k in ((0, first), (quickest, first + quickest), (slopes.size - 1, last))
+    ]
+    meetings = [(a[0] - b[0]) / (b[1] - a[1]) for a, b in pairwise(lines)]
+    turns = [float(b[1] - a[1]) for a, b in pairwise(lines)]
+    start = ShortMove(*lines[0], meetings[0], turns[0], meetings[1], turns[1])
+    reach = max(servo.shape(turn).takes for turn in turns) + _CORNER_SAMPLES * step
+    chosen = _within(
+        t,
+        max(knots[first] + others[0], knots[group[0]] - reach),
+        min(knots[last] - others[1], knots[group[-1]] + reach),
+    )
+    t, value = t[chosen], value[chosen]
+    found = short_move(t, value, noise, servo, start)
+    if found is None or found[1] > _FOLLOWS**2 * t.size * noise**2:
+        return None
+    move, _, errors = found
+    if not knots[first] < move.t < move.next_t < knots[last]:
+        return None
+    bends = [
+        Bend(at, turn, servo.shape(turn), True, error)
+        for at, turn, error in zip(
+            (move.t, move.next_t), (move.turn, move.next_turn), errors, strict=True
+        )
+    ]
+    return [
+        _Turned(
+            bend,
+            before[0] + before[1] * bend.t,
+            Corner(t, value, *before, *after, -1, 0.0, noise),
+            bend.shape,
+        )
+        for bend, (before, after) in zip(bends, pairwise(move.lines), strict=True)
+    ]
 
 
 def _gap(knots: FloatArray, k: int, way: int, most: float) -> float:
