@@ -18,7 +18,18 @@
 from dataclasses import replace
 from itertools import pairwise
 
-from hapticvision_ros.core.fit.bend import Bend, Corner, rounded, Servo, servo_of, Shape
+from hapticvision_ros.core.fit.bend import (
+    Bend,
+    Corner,
+    is_apart,
+    rounded,
+    Servo,
+    servo_of,
+    Shape,
+)
+from hapticvision_ros.core.fit.bend import (
+    told as told_by,
+)
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
     _misread,
@@ -638,3 +649,59 @@ def test_quick_ways_in_the_air_tell_what_slow_ones_on_the_object_do_not() -> Non
     # How much an acceleration is spread in time: half a wave, and those that arms are told by.
     spread = np.sqrt((shape.duration**2 + shape.jerk**2) / 12.0 + shape.lag**2)
     assert spread == pytest.approx(RAMP * np.sqrt(0.25 - 2.0 / np.pi**2), rel=0.05)
+
+
+QUICK = Servo(1.25, 0.0, 0.0102, True, 0.02, swing=0.65)
+"""A linear motor of 0.8 m/s^2, whose servo of 19 Hz has a damping ratio of 0.62."""
+
+
+def _quick(speed: float, depth: float, seed: int) -> tuple[Signal, Segmentation, Signal]:
+    """Return what encoders tell of a tool that goes to and fro by short ways, and how it went."""
+    rest = 2.0e-3
+    ways = [(depth + rest, speed), (-0.1 * depth, 0.5 * speed), (0.3 * depth, speed)]
+    ways += [(-0.1 * depth, 0.5 * speed), (0.25 * depth, speed), (-1.35 * depth - rest, 0.015)]
+    command, starts, stops = [np.zeros(40_000)], [], []
+    for way, quickest in ways:
+        ramp = round(min(quickest, np.sqrt(0.8 * abs(way))) / 0.8 / STEP)
+        level = round(abs(way) / quickest / STEP)
+        made = np.convolve(np.full(level, way / level), np.full(ramp, 1.0 / ramp))
+        starts.append(sum(map(len, command)))
+        command += [made, np.zeros(60_000)]
+        stops.append(starts[-1] + len(made))
+    t = STEP * np.arange(sum(map(len, command)))
+    shape = QUICK.shape(speed)
+    way = np.cumsum(_servo(np.concatenate(command), shape)) - rest
+    random = np.random.default_rng(seed)
+    at = np.arange(0.01, t[-1] - 0.01, 1.0 / 900.0)
+    told = np.interp(at, t, way) + random.normal(0.0, 3e-7, at.size)
+    touch = float(np.interp(0.0, way[: stops[0]], t[: stops[0]]))
+    times = touch, STEP * stops[4], STEP * starts[5], STEP * stops[5]
+    phases = Segmentation(*times, at[-1], TOP, 0.0, speed, 1.35 * depth, ())
+    return Signal(at, 5e-7 * np.round(told / 5e-7)), phases, Signal(t, way)
+
+
+def test_a_search_for_a_swing_goes_to_the_end_of_its_valley() -> None:
+    """Fine encoders tell points from each other by far that are near each other."""
+    turns = []
+    for seed, (speed, depth) in enumerate([(0.008, 0.02), (0.015, 0.03), (0.02, 0.04)]):
+        told, phases, _ = _quick(speed, depth, seed)
+        turns += [turn for turn in _path(told, phases, None)[1] if abs(turn.bend.turn) > 2e-3]
+    corners = [turn.corner for turn in turns]
+    assert len(corners) > 12
+    servo = servo_of(corners, [turn.shape for turn in turns])
+    assert servo is not None
+    assert servo.even
+    near = [c for c in corners if not is_apart(c, c.deviance(QUICK.at(c)), servo)]
+    assert len(near) > 0.8 * len(corners)
+    assert told_by(near, servo) < told_by(near, QUICK) + 12.0
+
+
+def test_short_moves_are_told_by_how_the_arm_makes_long_ones() -> None:
+    """The tool has not come to its speed when it stops again: 0.3 mm at 20 mm/s."""
+    for seed, depth in enumerate((2e-3, 3e-3, 4e-3)):
+        told, phases, way = _quick(0.02, depth, seed)
+        path = tool_path(told, phases, QUICK)
+        on_it = (way.t > phases.t_contact) & (way.t < phases.t_release)
+        off = np.abs(path.at(way.t[on_it]) - way.value[on_it])
+        assert off.max() < 5e-7, depth
+        assert len(path.bends) == 12
