@@ -2329,7 +2329,11 @@ def _short_move(
     meetings = [(a[0] - b[0]) / (b[1] - a[1]) for a, b in pairwise(lines)]
     turns = [float(b[1] - a[1]) for a, b in pairwise(lines)]
     start = ShortMove(*lines[0], meetings[0], turns[0], meetings[1], turns[1])
-    reach = max(servo.shape(turn).takes for turn in turns) + _CORNER_SAMPLES * step
+    takes = max(servo.shape(turn).takes for turn in turns)
+    if float(np.diff(knots[group]).max()) > takes:
+        # A line between them shows each by itself.
+        return None
+    reach = takes + _CORNER_SAMPLES * step
     chosen = _within(
         t,
         max(knots[first] + others[0], knots[group[0]] - reach),
