@@ -108,9 +108,13 @@ def _run(arguments: Sequence[str]) -> int:
         if name == asked:
             module = import_module(f'hapticvision_ros.cli.{verb.module}')
             module.add_arguments(subparser)
-    if '' in arguments:
+    for argument in arguments:
         # As a path it would be the folder that one is in.
-        raise UsageError('an argument is empty: is a variable of the shell not set?')
+        if not argument or (argument.startswith('--') and argument.endswith('=')):
+            raise UsageError(
+                f"an argument is empty ('{argument}'): see whether a variable of the shell is "
+                'not set.'
+            )
     args = parser.parse_args(arguments)
     if module is None:
         raise UsageError('say what to do; see hapticvision --help.')

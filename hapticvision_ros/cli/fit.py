@@ -239,6 +239,8 @@ def write_results(
         out.mkdir(parents=True, exist_ok=True)
         # The result first: a disk may be too full for the page.
         write_json(result, document)
+        # An older page would be of another result.
+        report.unlink(missing_ok=True)
         write_report(report, campaign, units)
     except OSError as error:
         raise InputError(

@@ -99,6 +99,9 @@ _UNUSUAL: Final = 2.0
 _DELAYS: Final = 101
 """A delay is unusual at so many times the median of so many."""
 
+_IN_A_ROW: Final = 3
+"""So many late ones are followed by one that is taken."""
+
 type Place = tuple[float, float]
 type HoldMode = Literal['fixed', 'auto']
 HOLD_MODES: Final[tuple[HoldMode, ...]] = ('fixed', 'auto')
@@ -171,16 +174,20 @@ class Punctuality:
 
     A number without a stamp is taken to be of the moment at which it is sent. What a busy machine
     hands over late was measured earlier, and is better left out; what a slow network always delays
-    is not.
+    is not. Of delays that differ much the longest are late; so that none are left out for long,
+    few in a row are told to be late.
     """
 
     def __init__(self) -> None:
         self._delays: deque[float] = deque(maxlen=_DELAYS)
+        self._in_a_row = 0
 
     def is_late(self, delay: float) -> bool:
         """Return whether a delay [s] is longer than half a millisecond and than usual ones."""
         self._delays.append(delay)
-        return delay > max(_PROMPT, _UNUSUAL * median(self._delays))
+        late = delay > max(_PROMPT, _UNUSUAL * median(self._delays))
+        self._in_a_row = self._in_a_row + 1 if late and self._in_a_row < _IN_A_ROW else 0
+        return self._in_a_row > 0
 
 
 class Command(NamedTuple):

@@ -22,8 +22,8 @@ import tempfile
 
 
 def as_bytes(text: str) -> bytes:
-    """Return a text for a file; what a file's name holds that is no UTF-8 becomes ``?``."""
-    return text.encode(errors='replace')
+    """Return a text for a file; what a file's name holds that is no UTF-8 is written out."""
+    return text.encode(errors='backslashreplace')
 
 
 def write_whole(folder: Path, files: Iterable[tuple[str, bytes]]) -> None:

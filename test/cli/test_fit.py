@@ -165,8 +165,8 @@ def test_names_of_bags_need_not_be_utf_8(tmp_path: Path) -> None:
     shutil.copytree(SLOW, odd)
     assert _fit(odd, '--out', tmp_path / 'out', *BASE) == 0
     result = json.loads((tmp_path / 'out' / 'result.json').read_text())
-    assert result['trials'][0]['bag'].endswith('/m?/p?')
-    assert 'p?' in (tmp_path / 'out' / 'report.html').read_text()
+    assert result['trials'][0]['bag'] == str(odd)
+    assert r'p\udce9' in (tmp_path / 'out' / 'report.html').read_text()
 
 
 class _Terminal(io.StringIO):
@@ -332,10 +332,12 @@ def test_a_disk_that_is_too_full_for_the_page_has_the_result(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, 'No space left on device')
 
+    (tmp_path / 'report.html').write_text('of another result')
     monkeypatch.setattr('hapticvision_ros.report.page.write_whole', full)
     assert _fit(SLOW, '--out', tmp_path, *BASE) == 2
     assert 'No space left' in capsys.readouterr().err
     assert json.loads((tmp_path / 'result.json').read_text())['trials']
+    assert not (tmp_path / 'report.html').exists()
 
 
 def test_a_result_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:

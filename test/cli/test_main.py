@@ -58,7 +58,10 @@ def test_wrong_usage_is_one_sentence_and_exit_code_2(
     assert '--help' in shown.err
 
 
-@pytest.mark.parametrize('arguments', [['fit', 'a', '--out', ''], ['fit', '', '--out', 'b']])
+@pytest.mark.parametrize(
+    'arguments',
+    [['fit', 'a', '--out', ''], ['fit', '', '--out', 'b'], ['fit', 'a', '--out=']],
+)
 def test_an_empty_argument_is_no_folder(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

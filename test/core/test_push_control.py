@@ -402,6 +402,14 @@ def test_what_is_handed_over_late_is_told_and_a_slow_network_is_not():
             assert slow.is_late(11e-3)
 
 
+def test_delays_that_have_grown_do_not_leave_out_all_for_long():
+    punctuality = Punctuality()
+    late = [punctuality.is_late(1e-4 if k < 200 else 3e-3) for k in range(400)]
+    assert not any(late[:200])
+    assert late[200:204] == [True, True, True, False]
+    assert not any(late[260:])
+
+
 @pytest.mark.parametrize('back', [0.06, 0.5, 1.0, 60.0])
 def test_a_clock_that_is_set_back_is_followed_but_a_late_sample_is_not(back):
     measured = MeasuredTime()

@@ -354,7 +354,7 @@ def test_an_arm_that_goes_aside_is_not_raised_again_and_again(ros, until, monkey
 
 
 class LateArm(AsideArm):
-    """An arm of which each fifth state is handed over 4 ms late, from 1 m."""
+    """An arm of which each fifth state is handed over 50 ms late, from 1 m."""
 
     reads = 0
 
@@ -363,7 +363,7 @@ class LateArm(AsideArm):
         self.reads += 1
         if self.reads % 5:
             return [state]
-        time.sleep(0.004)
+        time.sleep(0.05)
         return [replace(state, tool_height=1.0)]
 
 

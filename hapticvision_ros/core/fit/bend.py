@@ -70,8 +70,9 @@ SWINGS: Final = (0.5, 1.2)
 _SEARCHED: Final = np.array([0.3, 0.3, 0.4, 0.3])
 """First steps of a search: of duration, lag, jerk, and swing."""
 _MORE_SEARCHES: Final = 4
+"""Searches that are begun again."""
 _MORE_TURNS: Final = 200
-"""Searches that are begun again, and turns of each at most."""
+"""Turns of a search that goes to the end."""
 _APART: Final = 40.0
 """Deviance that a shape of its own takes out of a change of speed that is not made as others."""
 _LARGE: Final = 0.5

@@ -2221,6 +2221,8 @@ def _bent(
     coarse: float,
     servo: Servo | None,
     touch: float,
+    *,
+    short: bool = True,
 ) -> tuple[FloatArray, FloatArray, list[_Turned]]:
     """
     Return the path with corners in place of the short pieces over which the tool changes speed.
@@ -2228,7 +2230,7 @@ def _bent(
     An arm takes some time to change its speed. Two straight pieces and an acceleration between
     them take the place of the corners there if they follow the samples as well, but for `coarse`,
     by which the encoders round. The arm is known to do it as `servo` where that may go on after
-    the touch.
+    the touch. `short` moves may be of two changes of speed that no line parts.
     """
     step = float(np.median(np.diff(t)))
     groups: list[list[int]] = []
@@ -2239,6 +2241,7 @@ def _bent(
             groups.append([k])
     new_knots, new_levels = [float(knots[0])], [float(levels[0])]
     turns: list[_Turned] = []
+    are_short = False
     pending = groups[::-1]
     while pending:
         group = pending.pop()
@@ -2268,9 +2271,10 @@ def _bent(
             for edge in _EDGE_SAMPLES
         )
         found = next(filter(None, tried), None)
-        if found is None and mine is not None:
+        if found is None and mine is not None and short and coarse <= noise:
             both = _short_move(t, value, knots, levels, group, step, noise, mine, others)
             if both is not None:
+                are_short = True
                 new_knots += [at for turn in both for at, _ in turn.knots]
                 new_levels += [level for turn in both for _, level in turn.knots]
                 turns += both
@@ -2297,6 +2301,8 @@ def _bent(
     after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
     # The pieces between are those of least squares by themselves: all must still follow.
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
+        if are_short:
+            return _bent(t, value, knots, levels, noise, coarse, servo, touch, short=False)
         return knots, levels, []
     return made, heights, turns
 
@@ -2326,8 +2332,12 @@ def _short_move(
         (levels[k] - slopes[j] * knots[k], slopes[j])
         for j, k in ((0, first), (quickest, first + quickest), (slopes.size - 1, last))
     ]
-    meetings = [(a[0] - b[0]) / (b[1] - a[1]) for a, b in pairwise(lines)]
     turns = [float(b[1] - a[1]) for a, b in pairwise(lines)]
+    if not all(turns):
+        return None
+    meetings = [(a[0] - b[0]) / turn for (a, b), turn in zip(pairwise(lines), turns, strict=True)]
+    if not knots[first] < meetings[0] < meetings[1] < knots[last]:
+        return None
     start = ShortMove(*lines[0], meetings[0], turns[0], meetings[1], turns[1])
     takes = max(servo.shape(turn).takes for turn in turns)
     if float(np.diff(knots[group]).max()) > takes:
@@ -2340,11 +2350,19 @@ def _short_move(
         min(knots[last] - others[1], knots[group[-1]] + reach),
     )
     t, value = t[chosen], value[chosen]
-    found = short_move(t, value, noise, servo, start)
-    if found is None or found[1] > _FOLLOWS**2 * t.size * noise**2:
+    if not _EDGE_SAMPLES[1] <= np.searchsorted(t, meetings[0]) <= t.size - _FEWEST:
         return None
-    move, _, errors = found
-    if not knots[first] < move.t < move.next_t < knots[last]:
+    found = short_move(t, value, noise, servo, start)
+    if found is None or not knots[first] < found[0].t < found[0].next_t < knots[last]:
+        return None
+    move, errors = found
+    left = value - move.at(t, servo)
+    # What is straight before and after it must not hide what is left of it.
+    near = left[_within(t, move.t - takes, move.next_t + takes)]
+    corners = value - np.interp(t, knots, levels)
+    if float(near @ near) > _FOLLOWS**2 * near.size * noise**2 or float(left @ left) > (
+        _NO_WORSE * float(corners @ corners) + t.size * noise**2
+    ):
         return None
     bends = [
         Bend(at, turn, servo.shape(turn), True, error)

@@ -68,9 +68,9 @@ class ShortMove(NamedTuple):
 
 def short_move(
     t: FloatArray, value: FloatArray, noise: float, servo: Servo, start: ShortMove
-) -> tuple[ShortMove, float, tuple[float, float]] | None:
+) -> tuple[ShortMove, tuple[float, float]] | None:
     """
-    Return the short move that follows samples best, and what it leaves.
+    Return the short move that follows samples best.
 
     Neither of its changes of speed shows by itself between lines; how an arm makes them, which
     longer ways have told, tells where they are.
@@ -88,9 +88,9 @@ def short_move(
 
     Returns
     -------
-    tuple of (ShortMove, float, (float, float)), or None
-        And the squares of the samples about it [m^2], and the standard errors of when it begins
-        and ends [s]. None where the changes of speed would not come in turn, or turn the same way.
+    tuple of (ShortMove, (float, float)), or None
+        And the standard errors of when it begins and ends [s]. None where the samples do not tell
+        it, or the changes of speed would not come in turn, or turn the same way.
 
     """
     step = float(np.median(np.diff(t)))
@@ -118,7 +118,8 @@ def short_move(
 
     found = minimise(evaluate, np.zeros(6), tolerance=_TELLING, max_evaluations=_LOOKS)
     best = move(found.theta)
-    if not best.t < best.next_t or best.turn * best.next_turn >= 0.0:
+    errors = scale * np.sqrt(np.diag(found.covariance()))
+    told = found.converged and bool(np.isfinite(errors).all())
+    if not told or not best.t < best.next_t or best.turn * best.next_turn >= 0.0:
         return None
-    errors = scale * np.sqrt(np.diag(np.linalg.pinv(found.jacobian.T @ found.jacobian)))
-    return best, float(found.cost) * noise**2, (float(errors[2]), float(errors[4]))
+    return best, (float(errors[2]), float(errors[4]))
