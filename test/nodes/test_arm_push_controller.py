@@ -353,7 +353,7 @@ def test_an_arm_that_goes_aside_is_not_raised_again_and_again(ros, until, monkey
         node.destroy_node()
 
 
-class LateArm(AsideArm):
+class LateArm(StandingArm):
     """An arm of which each fifth state is handed over 50 ms late, from 1 m."""
 
     reads = 0

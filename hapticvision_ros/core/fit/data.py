@@ -2257,17 +2257,10 @@ def _bent(
             _gap(knots, group[0] - 1, -1, _CORNER_SAMPLES * step),
             _gap(knots, group[-1] + 1, 1, _CORNER_SAMPLES * step),
         )
-        ways: list[tuple[Servo | None, tuple[float, float]]] = [(None, others)]
-        if mine is not None:
-            fades = turns[-1].bend.stop - around[0] if turns else 0.0
-            if fades > others[0]:
-                # What an arm leaves of the change of speed before is slow to fade.
-                ways.insert(0, (mine, (fades, others[1])))
-            ways.insert(0, (mine, others))
         # A quick push has few samples of the encoders before it stops.
         tried = (
-            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp, others=beyond)
-            for known, beyond in ways
+            _bend(t, value, around, step, noise, coarse, edge, known, ramp=ramp, others=others)
+            for known in ((mine, None) if mine is not None else (None,))
             for edge in _EDGE_SAMPLES
         )
         found = next(filter(None, tried), None)

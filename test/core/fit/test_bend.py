@@ -17,7 +17,9 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
+from hapticvision_ros.core.fit import data
 from hapticvision_ros.core.fit.bend import (
     Bend,
     Corner,
@@ -26,9 +28,7 @@ from hapticvision_ros.core.fit.bend import (
     Servo,
     servo_of,
     Shape,
-)
-from hapticvision_ros.core.fit.bend import (
-    told as told_by,
+    told,
 )
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.fit.data import (
@@ -673,19 +673,19 @@ def _quick(speed: float, depth: float, seed: int) -> tuple[Signal, Segmentation,
     way = np.cumsum(_servo(np.concatenate(command), shape)) - rest
     random = np.random.default_rng(seed)
     at = np.arange(0.01, t[-1] - 0.01, 1.0 / 900.0)
-    told = np.interp(at, t, way) + random.normal(0.0, 3e-7, at.size)
+    read = np.interp(at, t, way) + random.normal(0.0, 3e-7, at.size)
     touch = float(np.interp(0.0, way[: stops[0]], t[: stops[0]]))
     times = touch, STEP * stops[4], STEP * starts[5], STEP * stops[5]
     phases = Segmentation(*times, at[-1], TOP, 0.0, speed, 1.35 * depth, ())
-    return Signal(at, 5e-7 * np.round(told / 5e-7)), phases, Signal(t, way)
+    return Signal(at, 5e-7 * np.round(read / 5e-7)), phases, Signal(t, way)
 
 
 def test_a_search_for_a_swing_goes_to_the_end_of_its_valley() -> None:
     """Fine encoders tell points from each other by far that are near each other."""
     turns = []
     for seed, (speed, depth) in enumerate([(0.008, 0.02), (0.015, 0.03), (0.02, 0.04)]):
-        told, phases, _ = _quick(speed, depth, seed)
-        turns += [turn for turn in _path(told, phases, None)[1] if abs(turn.bend.turn) > 2e-3]
+        read, phases, _ = _quick(speed, depth, seed)
+        turns += [turn for turn in _path(read, phases, None)[1] if abs(turn.bend.turn) > 2e-3]
     corners = [turn.corner for turn in turns]
     assert len(corners) > 12
     servo = servo_of(corners, [turn.shape for turn in turns])
@@ -693,15 +693,34 @@ def test_a_search_for_a_swing_goes_to_the_end_of_its_valley() -> None:
     assert servo.even
     near = [c for c in corners if not is_apart(c, c.deviance(QUICK.at(c)), servo)]
     assert len(near) > 0.8 * len(corners)
-    assert told_by(near, servo) < told_by(near, QUICK) + 12.0
+    assert told(near, servo) < told(near, QUICK) + 12.0
 
 
 def test_short_moves_are_told_by_how_the_arm_makes_long_ones() -> None:
     """The tool has not come to its speed when it stops again: 0.3 mm at 20 mm/s."""
     for seed, depth in enumerate((2e-3, 3e-3, 4e-3)):
-        told, phases, way = _quick(0.02, depth, seed)
-        path = tool_path(told, phases, QUICK)
+        read, phases, way = _quick(0.02, depth, seed)
+        path = tool_path(read, phases, QUICK)
         on_it = (way.t > phases.t_contact) & (way.t < phases.t_release)
         off = np.abs(path.at(way.t[on_it]) - way.value[on_it])
         assert off.max() < 5e-7, depth
         assert len(path.bends) == 12
+
+
+def test_a_path_that_short_moves_would_spoil_is_made_without_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    read, phases, _ = _quick(0.02, 3e-3, 1)
+    short_move = data._short_move
+
+    def wrong(*args: Any) -> Any:
+        made = short_move(*args)
+        return made and [turn._replace(level=turn.level + 1e-4) for turn in made]
+
+    paths = []
+    for other in (lambda *_: None, wrong, short_move):
+        monkeypatch.setattr(data, '_short_move', other)
+        paths.append(tool_path(read, phases, QUICK))
+    without, spoilt, with_them = paths
+    assert 0 < len(without.bends) < len(with_them.bends)
+    assert [bend.t for bend in spoilt.bends] == [bend.t for bend in without.bends]
