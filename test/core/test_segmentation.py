@@ -357,6 +357,20 @@ def test_the_jump_of_a_dashpot_at_contact_stays_out_of_the_force_zero() -> None:
     assert abs(found.force_zero) <= 4.0 * trial.sigma * math.sqrt(39.0 / before)
 
 
+@pytest.mark.parametrize('wait', [1.0008, 1.0013, 1.0037])
+@pytest.mark.parametrize('since', [0.0, 0.01, 1.7, 1e3])
+def test_a_jump_is_half_way_between_two_samples_whenever_the_record_begins(wait, since) -> None:
+    """The same samples are counted from another moment: live, and in the bag of the trial."""
+    trial = simulate(Case(THREE_ELEMENT, speed=10e-3, wait=wait, hold=2.0, recover=2.0))
+    force, height = (
+        Signal(signal.t + since, signal.value) for signal in (trial.force, trial.height)
+    )
+    found = segment(force, height)
+    after = int(np.searchsorted(trial.force.t, trial.t_contact))
+    middle = 0.5 * (trial.force.t[after - 1] + trial.force.t[after])
+    assert found.t_contact == pytest.approx(middle + since, abs=1e-9)
+
+
 @NAMES
 def test_hold_and_release_are_found_finer_than_a_sample_of_the_height(name: str) -> None:
     case, trial = CASES[name], measured(name)

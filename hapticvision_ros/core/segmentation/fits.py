@@ -22,6 +22,8 @@ import numpy as np
 _LAGS = (1, 2, 4, 8, 16)
 # What a shape with a second term must gain over one without [noise variances].
 _COSTS = (0.0, 0.0, 8.0, 8.0, 8.0)
+_JUMP = 4
+"""Which of the shapes jumps."""
 _GUARD = 3
 """Samples before an onset that may already hold some of the rise."""
 _P50_OF_NORMAL = 0.6744897501960817
@@ -150,6 +152,12 @@ def _explained(
     return one, one + extra
 
 
+def _between(t: FloatArray, moment: float) -> float:
+    """Return the middle of the two samples beside a moment."""
+    after = min(max(int(np.searchsorted(t, moment, side='right')), 1), t.size - 1)
+    return 0.5 * float(t[after - 1] + t[after])
+
+
 def fit_onset(
     t: FloatArray,
     value: FloatArray,
@@ -190,6 +198,7 @@ def fit_onset(
     """
     columns = np.stack((value, travel))
     flat = 0.0
+    earliest, latest = low, high
     best_t, best_sse, baseline = low, np.inf, float(value[0])
     step = (high - low) / (grid - 1)
     for _round in range(4):
@@ -210,9 +219,10 @@ def fit_onset(
         least = min(float(np.min(table)) for table in tables)
         unit = least / max(float(np.sum(weight)) - 6.0, 1.0)
         costs = [float(np.min(table)) + p * unit for table, p in zip(tables, _COSTS, strict=True)]
-        table = tables[int(np.argmin(costs))]
+        shape = int(np.argmin(costs))
+        table = tables[shape]
         # Where the data cannot tell (a jump between two samples, a tool that does not move yet)
-        # the sum of squares is level: take the middle of a jump, else the last of equals.
+        # the sum of squares is level.
         equal = np.flatnonzero(table <= float(np.min(table)) * (1.0 + 1e-9) + 1e-300)
         run = equal[equal >= int(np.argmin(table))]
         best_t, best_sse = float(np.mean(starts[run])), least
@@ -226,6 +236,9 @@ def fit_onset(
         low, high = max(low, best_t - 2.0 * step), min(high, best_t + 2.0 * step)
         if high - low <= 0.0:
             break
+    if shape == _JUMP:
+        # Nothing tells where between two samples it is, and rounding shall not.
+        best_t = min(max(_between(t, best_t), earliest), latest)
     return Onset(best_t, baseline, best_sse)
 
 
