@@ -20,11 +20,21 @@ from typing import Final
 STANDARD_GRAVITY: Final = 9.80665
 """Standard acceleration of free fall [m/s^2] (CGPM 1901): 1 kgf = 9.80665 N."""
 
-TIME_UNITS: Final = MappingProxyType({'s': 1.0, 'ms': 1e-3})
+POUND: Final = 0.45359237
+"""Avoirdupois pound [kg] (international yard and pound agreement, 1959)."""
+
+TIME_UNITS: Final = MappingProxyType({'s': 1.0, 'ms': 1e-3, 'min': 60.0})
 FORCE_UNITS: Final = MappingProxyType(
-    {'N': 1.0, 'mN': 1e-3, 'gf': 1e-3 * STANDARD_GRAVITY, 'kgf': STANDARD_GRAVITY}
+    {
+        'N': 1.0,
+        'mN': 1e-3,
+        'kN': 1e3,
+        'gf': 1e-3 * STANDARD_GRAVITY,
+        'kgf': STANDARD_GRAVITY,
+        'lbf': POUND * STANDARD_GRAVITY,
+    }
 )
-LENGTH_UNITS: Final = MappingProxyType({'m': 1.0, 'mm': 1e-3, 'um': 1e-6})
+LENGTH_UNITS: Final = MappingProxyType({'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6})
 AREA_UNITS: Final = MappingProxyType({'m2': 1.0, 'cm2': 1e-4, 'mm2': 1e-6})
 
 MM: Final = LENGTH_UNITS['mm']

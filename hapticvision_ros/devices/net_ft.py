@@ -40,6 +40,7 @@ import xml.etree.ElementTree as ElementTree
 
 from hapticvision_ros.core.devices import LoadCell, StreamCounts, WrenchSample
 from hapticvision_ros.core.errors import DeviceError
+from hapticvision_ros.core.units import FORCE_UNITS
 from hapticvision_ros.devices.numbered import ArrivalClock, SequenceWatch
 
 type Product = Literal['net_box', 'axia']
@@ -105,8 +106,8 @@ _STATUS: Final[Mapping[Product, Mapping[int, str]]] = {
     },
 }
 
-_POUND: Final = 4.4482216152605
-_KILOGRAM: Final = 9.80665
+_POUND: Final = FORCE_UNITS['lbf']
+_KILOGRAM: Final = FORCE_UNITS['kgf']
 _FORCE_UNITS: Final[Mapping[str, float]] = {
     'n': 1.0,
     'kn': 1000.0,

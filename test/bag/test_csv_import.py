@@ -117,6 +117,23 @@ def test_a_tool_displacement_of_its_own_is_the_tools(tmp_path: Path) -> None:
     assert _provenance(trial.bag)['displacement_source'] == 'topic'
 
 
+@pytest.mark.parametrize(
+    ('header', 'force', 'displacement', 'second'),
+    [
+        ('time_s,force_kN,displacement_cm', 2e3, 0.03, 1.0),
+        ('time_min,force_lbf,displacement_mm', 2 * 4.4482216152605, 0.003, 60.0),
+    ],
+)
+def test_testing_machines_write_kilonewtons_pounds_centimetres_and_minutes(
+    tmp_path: Path, header: str, force: float, displacement: float, second: float
+) -> None:
+    read = read_csv(_file(tmp_path, f'{header}\n0,1,1\n1,2,3\n'))
+    signals = read.signals
+    assert signals['force'].t[1] - signals['force'].t[0] == second
+    assert signals['force'].value[1] == pytest.approx(force, rel=1e-12)
+    assert signals['displacement'].value[1] == pytest.approx(displacement, rel=1e-12)
+
+
 GERMAN = (
     'Prüfung;12\r\n\r\nZeit;"Kraft [N]";Weg\r\ns;N;mm\r\n'
     '0,0;1,5;0,1\r\n0,5;1,75;0,2\r\n1;2e0;,3\r\n'
@@ -240,7 +257,7 @@ def test_a_fault_costs_no_more_than_itself_and_is_told_with_its_line(
         ('0,1,2\n1,2,3\n', 'has no header line'),
         ('time_s,displacement_mm\n0,1\n1,1\n', 'no column holds the force'),
         ('time_s,force,displacement_mm\n0,1,1\n', "'force' has no unit; rename it to force_N"),
-        ('time_s,force_lbf,displacement_mm\n0,1,1\n', "unit of the column 'force_lbf' is not"),
+        ('time_s,force_dyn,displacement_mm\n0,1,1\n', "unit of the column 'force_dyn' is not"),
         ('time_s,force_N,force_mN,displacement_mm\n0,1,1,1\n', 'force_N or force_mN could be'),
         ('time_s,force_N,force_N,displacement_mm\n0,1,1,1\n', 'could be the force'),
         (HEAD + '0,1,x\n1,2,y\n', "'x' under 'displacement_mm' is not a usable number, nor"),
@@ -276,7 +293,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ('force', 'write QUANTITY=HEADER:UNIT'),
         ('force=Kraft', 'write QUANTITY=HEADER:UNIT'),
         ('weight=Kraft:N', "no quantity 'weight'; use time, force,"),
-        ('force=Kraft:lbf', "'lbf' is no unit of force; use N, mN, gf or kgf"),
+        ('force=Kraft:dyn', "'dyn' is no unit of force; use N, mN, kN, gf, kgf or lbf"),
     ],
 )
 def test_a_choice_that_means_nothing_is_refused(text: str, sentence: str) -> None:
