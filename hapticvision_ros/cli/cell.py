@@ -60,7 +60,7 @@ GOAL_OPTIONS: Final = (
     *BUDGET_OPTIONS,
 )
 MISSPELT: Final = 0.8
-"""Likeness from which on the name of a file is taken for another one's that is not there."""
+"""Likeness from which on the name of a file or parameter is taken for a known one."""
 RESTARTS: Final = 5
 """How often a node of the cell is started again when it has died."""
 
@@ -152,6 +152,8 @@ def _check(args: argparse.Namespace) -> None:
                 raise InputError(
                     f'{path} is read by no node: rename it to {meant[0]}, or move it.'
                 )
+        for name in NODES:
+            _parameters(args.config, name)
     from hapticvision_ros.sim.config import load_config
 
     world = load_config(_file(args.config, WORLD_CONFIG))
@@ -204,7 +206,8 @@ def _parameters(folder: Path | None, name: str) -> dict[str, Any]:
     import yaml
 
     values: dict[str, Any] = {}
-    for path in (share_folder() / 'config' / f'{name}.yaml', _file(folder, f'{name}.yaml')):
+    usual = share_folder() / 'config' / f'{name}.yaml'
+    for path in (usual, _file(folder, f'{name}.yaml')):
         if path is None:
             continue
         try:
@@ -213,6 +216,10 @@ def _parameters(folder: Path | None, name: str) -> dict[str, Any]:
             own = {k: v for section in sections for k, v in section['ros__parameters'].items()}
         except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f'{path} is no ROS parameter file that can be read.') from error
+        for key in own if path is not usual else ():
+            meant = get_close_matches(str(key), values, n=1, cutoff=MISSPELT)
+            if meant and key not in values:
+                raise InputError(f"{path}: no parameter is called '{key}': write {meant[0]}.")
         values |= {k: v for k, v in own.items() if isinstance(v, type(values.get(k, v)))}
     return values
 

@@ -110,6 +110,13 @@ def test_a_parameter_file_whose_name_is_misspelt_is_told(tmp_path, capsys):
     assert 'up to 5 mm/s' in capsys.readouterr().err
 
 
+def test_a_parameter_whose_name_is_misspelt_is_told(tmp_path, capsys):
+    (tmp_path / 'range_sensor_driver.yaml').write_text('/**: {ros__parameters: {widht: 100}}')
+    assert main(['cell', '--config', str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "range_sensor_driver.yaml: no parameter is called 'widht': write width." in said
+
+
 def running(parent: int) -> list[int]:
     """Return the processes that the kernel ends with `parent`, from their command lines."""
     found = []
