@@ -65,6 +65,9 @@ def find_files(path: Path) -> BagFiles:
     if not path.is_dir():
         if not path.exists():
             raise InputError(f'{path} does not exist: give a .mcap file or a rosbag2 directory')
+        if not path.is_file():
+            # Opening a pipe waits for its other end, and its bytes cannot be read twice.
+            raise InputError(f'{path} is a pipe or a device: write the bag to a file first')
         return BagFiles(path.stem, (path,), None, ())
     present = sorted(path.glob('*.mcap'))
     if not present:

@@ -227,6 +227,12 @@ def read_result(path: Path) -> dict[str, Any]:
         ) from error
     except ValueError as error:
         raise InputError(f'{path} is no JSON ({error}): name a result.json.') from error
-    if not isinstance(result, dict) or result.get('schema') != RESULT_SCHEMA:
-        raise InputError(f'{path} is no result of hapticvision fit: name a result.json.')
-    return result
+    if isinstance(result, dict) and result.get('schema') == RESULT_SCHEMA:
+        return result
+    schema = str(result.get('schema')) if isinstance(result, dict) else ''
+    if schema.startswith(RESULT_SCHEMA.rpartition('/')[0]):
+        raise InputError(
+            f'{path} is of the schema {schema}, and this version reads {RESULT_SCHEMA}: fit the '
+            'bags with this version.'
+        )
+    raise InputError(f'{path} is no result of hapticvision fit: name a result.json.')

@@ -241,11 +241,14 @@ def write_results(
         write_json(result, document)
         # An older page would be of another result.
         report.unlink(missing_ok=True)
-        write_report(report, campaign, units)
     except OSError as error:
         raise InputError(
             f'{error.filename or out} cannot be written ({error.strerror}): choose another --out.'
         ) from error
+    try:
+        write_report(report, campaign, units)
+    except InputError as error:
+        raise InputError(f'{error} {result} is written.') from error
     return result, report
 
 

@@ -17,6 +17,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+import os
 from pathlib import Path
 import shutil
 
@@ -572,6 +573,12 @@ def test_a_directory_without_mcap_is_refused(
 def test_a_bag_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='does not exist'):
         read_trial(tmp_path / 'none.mcap')
+
+
+def test_a_pipe_is_refused_before_anything_waits_for_its_other_end(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    with pytest.raises(InputError, match=r'pipe\.mcap is a pipe or a device'):
+        read_trial(tmp_path / 'pipe.mcap')
 
 
 def test_a_damaged_name_does_not_break_the_sentence() -> None:

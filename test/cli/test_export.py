@@ -193,7 +193,8 @@ def test_what_cannot_be_exported_is_told_in_one_sentence(
         (None, 'cannot be read'),
         ('{', 'is no JSON'),
         ('[]', 'is no result'),
-        ('{"schema": "hapticvision/result/2"}', 'is no result'),
+        ('{"schema": "hapticvision/shapes/1"}', 'is no result'),
+        ('{"schema": "hapticvision/result/2"}', 'fit the bags with this version'),
         ('{"schema": "hapticvision/result/1", "before": null}', "no model 'before'"),
         (
             '{"schema": "hapticvision/result/1", "warnings": [],'

@@ -335,7 +335,8 @@ def test_a_disk_that_is_too_full_for_the_page_has_the_result(
     (tmp_path / 'report.html').write_text('of another result')
     monkeypatch.setattr('hapticvision_ros.report.page.write_whole', full)
     assert _fit(SLOW, '--out', tmp_path, *BASE) == 2
-    assert 'No space left' in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert 'No space left' in said and said.endswith(f'{tmp_path / "result.json"} is written.\n')
     assert json.loads((tmp_path / 'result.json').read_text())['trials']
     assert not (tmp_path / 'report.html').exists()
 
