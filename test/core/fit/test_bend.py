@@ -172,8 +172,12 @@ def test_changes_of_speed_that_differ_are_not_made_alike() -> None:
     assert told[0] is None
     assert told[1] is not None
     assert not told[1].even
-    assert told[1].lag == pytest.approx(SHAPE.lag, rel=0.15)
-    assert told[1].duration == pytest.approx(SHAPE.duration, rel=0.15)
+    # Two lags one after the other, of which one is short, may pass for one; the way is as it is.
+    away = np.linspace(-0.2, 0.4, 601)
+    for turn in turns:
+        way = rounded(away, told[1].at(turn.corner))
+        off = turn.corner.turn * (way - rounded(away, SHAPE))
+        assert np.abs(off).max() < 0.5e-6, 'half a step of the encoders'
 
 
 def _drawn_out(t: np.ndarray, changes: list[tuple[float, float]]) -> np.ndarray:

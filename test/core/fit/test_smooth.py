@@ -21,7 +21,7 @@ import math
 from hapticvision_ros.core.fit.campaign import _jumps, _unsure, SHARPEST
 from hapticvision_ros.core.fit.data import _smooth_way, FitTrial, prepare, tool_path
 from hapticvision_ros.core.fit.ripple import candidates
-from hapticvision_ros.core.fit.smooth import _through, adapted, vaguely
+from hapticvision_ros.core.fit.smooth import _through, _try, adapted, vaguely
 from hapticvision_ros.core.fit.way import smooth
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
@@ -80,6 +80,22 @@ def test_it_is_the_estimate_of_least_squares_of_all_samples() -> None:
     _, log_determinant = np.linalg.slogdet(covariance)
     expected = (value - value[0]) @ weighted + log_determinant - np.sum(np.log(variance))
     assert misfit == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize('count', [1, 7, 8, 9, 20])
+def test_bandwidths_that_are_tried_side_by_side_miss_as_each_by_itself(count: int) -> None:
+    random = np.random.default_rng(count)
+    t = np.cumsum(random.uniform(0.5, 1.5, 300) * 0.01)
+    value = 1e-3 * np.sin(20.0 * t) + 1e-5 * random.standard_normal(t.size)
+    variance, vague = 1e-10 * random.uniform(1.0, 30.0, t.size), vaguely(value, 0.01)
+    widths, least = np.geomspace(1.0, 80.0, count), 10.0 ** random.uniform(0.0, 1.5, t.size)
+    tried = np.empty(count)
+    _try(t, value, variance, vague, 1e-12, least, widths, tried)
+    lower = np.minimum(least[1:], least[:-1])
+    for width, misfit in zip(widths, tried, strict=True):
+        intensity = 1e-12 * np.maximum(lower, width) ** 6
+        alone = _through(t, value, variance, vague, intensity, np.empty(300), np.empty(300))
+        assert misfit == pytest.approx(alone, rel=1e-9)
 
 
 @pytest.mark.parametrize(
