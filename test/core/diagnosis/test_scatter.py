@@ -22,6 +22,7 @@ from typing import Any
 
 from hapticvision_ros.core.diagnosis.refit import Workbench
 from hapticvision_ros.core.diagnosis.scatter import (
+    _at_once,
     _block,
     _common,
     apart,
@@ -297,6 +298,26 @@ def test_a_change_between_two_trials_is_told_from_a_steady_one(
     assert abs(found.block.change) == pytest.approx(0.08, abs=0.01)
     _, found = repeated(Undeclared('ageing', (-1.0,)))
     assert found.block is None
+
+
+ROUNDS = [[0, 4], [1, 5], [2, 6], [3, 7]]
+"""Four pushes, and all of them once more."""
+
+
+@pytest.mark.parametrize('misses', [0.0, 0.01])
+def test_a_steady_change_over_two_rounds_is_told_by_the_pushes_within_each(misses: float) -> None:
+    """Repeats differ all by as much, as where something changed between the rounds."""
+    times = np.array([0.0, 1069.0, 2611.0, 4033.0, 5347.0, 6849.0, 8433.0, 9766.0])
+    # What the model misses of each push by itself.
+    push = misses * np.array([1.0, -1.0, 0.5, -0.5] * 2)
+    ages = np.log1p(0.15 / 3600.0 * times) + push
+    found = _block(ages, np.full(8, QUIET), times, ROUNDS)
+    assert found is not None
+    assert not _at_once(found, ages, times, ROUNDS)
+    changed = np.repeat([0.0, 0.18], 4) + 0.002 * np.sin(times) + push
+    found = _block(changed, np.full(8, QUIET), times, ROUNDS)
+    assert found is not None
+    assert _at_once(found, changed, times, ROUNDS)
 
 
 MIXED = ((0.004, 0.006), (0.012, 0.004), (0.004, 0.004), (0.012, 0.006), (0.008, 0.005))
