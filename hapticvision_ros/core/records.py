@@ -270,6 +270,14 @@ class Segmentation:
         return self.whole or self
 
     @property
+    def reach(self) -> float | None:
+        """Return how deep a tool pushes [m]: up to the end of a push that never ends."""
+        endless = self.t_hold is None and self.t_release is None
+        if self.depth is None and endless and self.push_speed and self.t_contact is not None:
+            return self.push_speed * (self.t_end - self.t_contact)
+        return self.depth
+
+    @property
     def hold_time(self) -> float | None:
         """Return how long the trial holds [s]; None where start or end of the hold is unknown."""
         if self.t_hold is None or self.t_release is None:

@@ -95,7 +95,7 @@ class PushLimits:
     def like(cls, phases: Sequence[Segmentation]) -> 'PushLimits':
         """Return what is near what has been done: speeds within a factor of three."""
         speeds = [p.push_speed for p in phases if p.push_speed]
-        depths = [p.depth for p in phases if p.depth]
+        depths = [reach for p in phases if (reach := p.reach)]
         holds = [p.hold_time for p in phases if p.hold_time is not None]
         longest = max(holds, default=10.0)
         return cls(

@@ -44,7 +44,7 @@ from scipy.special import chdtri, fdtrc
 
 _WIDE: Final = 0.5
 """Scatter of the logarithms that is allowed when it is measured."""
-_SAME: Final = {'push_speed': 0.06, 'depth': 0.06, 'hold_time': 0.2}
+_SAME: Final = {'push_speed': 0.06, 'reach': 0.06, 'hold_time': 0.2}
 """Relative difference of speed, depth and hold within which two pushes are the same."""
 _POOLED: Final = 3.0
 """Degrees of freedom that the likeliest common scatter counts for in each element."""

@@ -559,8 +559,8 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
     for index, (_, phases) in enumerate(pairs_of(campaign)):
         push = (
             None
-            if phases.push_speed is None or phases.depth is None
-            else (phases.push_speed, phases.depth, *phases.in_steps)
+            if phases.push_speed is None or phases.reach is None
+            else (phases.push_speed, phases.reach, *phases.in_steps)
         )
         for group, first in zip(groups, firsts, strict=True):
             if push is not None and first is not None and _alike(push, first):

@@ -33,6 +33,7 @@ from hapticvision_ros.core.diagnosis.scatter import (
     pushed_apart,
     Scatter,
 )
+from hapticvision_ros.core.fit import held_out
 from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.core.segmentation import segment
@@ -136,6 +137,14 @@ def test_a_push_without_a_release_repeats_only_one_without() -> None:
     assert conditions(trials) == [[0], [1, 2]]
     assert conditions([phases(None, None, None), phases(None, None, None)]) == [[0, 1]]
     assert conditions([]) == []
+
+
+def test_a_push_that_never_ends_repeats_only_one_as_deep() -> None:
+    ramp = replace(phases(0.004, None, None), t_hold=None, t_release=None, t_contact=1.0)
+    trials = [replace(ramp, t_end=end) for end in (3.0, 5.0, 3.02)]
+    assert [trial.reach for trial in trials[:2]] == [0.008, 0.016]
+    assert conditions(trials) == [[0, 2], [1]]
+    assert held_out.conditions([(None, trial) for trial in trials]) == ((0, 2), (1,))
 
 
 def test_a_push_in_steps_repeats_no_other_than_one_of_the_same_steps() -> None:
