@@ -357,12 +357,23 @@ def test_a_jump_is_uncertain_where_the_force_bends() -> None:
     count = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 0.0])
     variance = np.full(6, np.nan)
     middle = 0.5 * (t[1:] + t[:-1])
-    _jump_variance(force, middle, np.diff(t) / np.maximum(count, 1.0), count, 0.5, variance)
+    _jump_variance(force, middle, np.diff(t) / np.maximum(count, 1.0), count, 0.5, 0, variance)
     # Both corners turn the slope by 4.
     assert variance == pytest.approx([1.0, 1.0, 1.0, 0.25, 0.0, 0.0])
     for size in (1, 2):
-        _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, variance[:size])
+        _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, 0, variance[:size])
         assert variance[:size].tolist() == [0.0] * size
+
+
+def test_where_the_object_lets_go_a_reading_may_be_of_a_moment_or_a_mean() -> None:
+    """However sharp other moments are; a touch before half of the record is moved by itself."""
+    force = np.array([0.0, 0.0, 4.0, 4.0, 2.0, 2.0, 0.001, 0.0])
+    middle, ones, variance = np.arange(8.0), np.ones(8), np.empty(8)
+    _jump_variance(force, middle, ones, ones, 0.1, 4, variance)
+    known = np.sqrt(variance)
+    assert known[:4] == pytest.approx([0.2, 0.2, 0.2, 0.2], abs=1e-3)
+    # The force falls by half first, in contact, and then to nothing.
+    assert known[4:] == pytest.approx([0.1, *[np.sqrt(1.0 / 12.0)] * 3], abs=1e-3)
 
 
 @pytest.mark.parametrize('blur', [0.09, 0.35, 0.7])
