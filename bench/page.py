@@ -33,10 +33,13 @@ def renew(page: Path, begin: str, end: str, text: str) -> None:
     Raises
     ------
     SystemExit
-        If they do not stand there; the text was printed, and is not lost.
+        If there is no such page, or they do not stand there; the text was printed.
 
     """
-    old = page.read_text()
+    try:
+        old = page.read_text()
+    except OSError as error:
+        raise SystemExit(f'{page} cannot be renewed ({error.strerror})') from error
     if old.count(begin) != 1 or old.count(end) != 1 or old.index(begin) > old.index(end):
         raise SystemExit(f'{page} is left alone: {begin} and {end} are not there once each')
     head, rest = old.split(begin)
