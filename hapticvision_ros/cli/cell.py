@@ -212,8 +212,7 @@ def _parameters(folder: Path | None, name: str) -> dict[str, Any]:
             continue
         try:
             content = dict(yaml.safe_load(path.read_text(encoding='utf-8')))
-            sections = [content[key] for key in ('/**', name, f'/{name}') if key in content]
-            own = {k: v for section in sections for k, v in section['ros__parameters'].items()}
+            own = {k: v for section in _sections(content, name) for k, v in section.items()}
         except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f'{path} is no ROS parameter file that can be read.') from error
         for key in own if path is not usual else ():
@@ -222,6 +221,17 @@ def _parameters(folder: Path | None, name: str) -> dict[str, Any]:
                 raise InputError(f"{path}: no parameter is called '{key}': write {meant[0]}.")
         values |= {k: v for k, v in own.items() if isinstance(v, type(values.get(k, v)))}
     return values
+
+
+def _sections(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    """Return what a parameter file has for a node, in whatever namespace."""
+    found = []
+    for key, value in content.items():
+        if 'ros__parameters' not in value:
+            found += _sections(value, name)
+        elif str(key).rpartition('/')[2] in ('**', name):
+            found.append(value['ros__parameters'])
+    return found
 
 
 def _file(folder: Path | None, name: str) -> Path | None:

@@ -230,7 +230,7 @@ def read_result(path: Path) -> dict[str, Any]:
     if isinstance(result, dict) and result.get('schema') == RESULT_SCHEMA:
         return result
     schema = str(result.get('schema')) if isinstance(result, dict) else ''
-    if schema.startswith(RESULT_SCHEMA.rpartition('/')[0]):
+    if schema.rpartition('/')[0] == RESULT_SCHEMA.rpartition('/')[0]:
         raise InputError(
             f'{path} is of the schema {schema}, and this version reads {RESULT_SCHEMA}: fit the '
             'bags with this version.'

@@ -113,8 +113,17 @@ def test_a_parameter_file_whose_name_is_misspelt_is_told(tmp_path, capsys):
 def test_a_parameter_whose_name_is_misspelt_is_told(tmp_path, capsys):
     (tmp_path / 'range_sensor_driver.yaml').write_text('/**: {ros__parameters: {widht: 100}}')
     assert main(['cell', '--config', str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "range_sensor_driver.yaml: no parameter is called 'widht': write width." in said
+    said = "range_sensor_driver.yaml: no parameter is called 'widht': write width."
+    assert said in capsys.readouterr().err
+    # Also in a namespace, and not of another node.
+    own = '/**: {range_sensor_driver: {ros__parameters: {widht: 1}}, other: {ros__parameters: {}}}'
+    (tmp_path / 'range_sensor_driver.yaml').write_text(own)
+    assert main(['cell', '--config', str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+    own = own.replace('range_sensor_driver', 'another')
+    (tmp_path / 'range_sensor_driver.yaml').write_text(own)
+    assert main(['cell', '--config', str(tmp_path), '--object', 'none']) == 2
+    assert 'widht' not in capsys.readouterr().err
 
 
 def running(parent: int) -> list[int]:

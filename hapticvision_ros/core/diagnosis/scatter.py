@@ -45,7 +45,10 @@ from scipy.special import chdtri, fdtrc
 _WIDE: Final = 0.5
 """Scatter of the logarithms that is allowed when it is measured."""
 _SAME: Final = {'push_speed': 0.06, 'reach': 0.06, 'hold_time': 0.2}
-"""Relative difference of speed, depth and hold within which two pushes are the same."""
+"""
+Relative difference of speed, depth and hold within which two pushes are the same; of one without a
+hold, that of how deep it comes.
+"""
 _POOLED: Final = 3.0
 """Degrees of freedom that the likeliest common scatter counts for in each element."""
 _TREND: Final = 0.01
@@ -65,7 +68,10 @@ _BLOCK_CHANCE: Final = 1e-3
 _DRAWS: Final = 10_000
 _AT_ONCE: Final = 500
 _CLEARER: Final = 0.5
-"""Variance that such trials leave, over that which a steady change leaves, to stand for it."""
+"""
+Variance that such trials leave, over that which a steady change leaves, to stand for it: between
+repeats, times that of all trials where there are repeats.
+"""
 _SEED: Final = 20_250_102
 LEAST: Final = 5e-4
 """Scatter below this is none."""
@@ -144,11 +150,11 @@ def conditions(phases: Sequence[Segmentation]) -> list[list[int]]:
 
 
 def _alike(one: Segmentation, other: Segmentation) -> bool:
-    for name, reach in _SAME.items():
+    for name, within in _SAME.items():
         a, b = getattr(one, name), getattr(other, name)
         if (a is None) != (b is None):
             return False
-        if a is not None and abs(a - b) > reach * max(abs(a), abs(b)):
+        if a is not None and abs(a - b) > within * max(abs(a), abs(b)):
             return False
     steps, others = one.in_steps, other.in_steps
     return len(steps) == len(others) and all(
@@ -260,7 +266,7 @@ def pushed_apart(
 
     """
     told = []
-    for name, reach in _SAME.items():
+    for name, within in _SAME.items():
         sides: tuple[list[float], list[float]] = [], []
         for phase, time in zip(phases, times, strict=True):
             size = getattr(phase, name)
@@ -269,8 +275,8 @@ def pushed_apart(
         if not all(sides):
             continue
         less, more = sorted(sides, key=min)
-        if min(more) - max(less) > reach * max(more):
-            told.append(name.replace('_', ' '))
+        if min(more) - max(less) > within * max(more):
+            told.append('depth' if name == 'reach' else name.replace('_', ' '))
     return tuple(told)
 
 
@@ -500,7 +506,11 @@ def _at_once(
     within each round do, as far as the model tells them.
     """
     place = np.argsort(np.argsort(times, kind='stable'))
-    inside = (place >= place[block.first]) & (place <= place[block.last])
+    members = [place[index] for group in groups for index in group]
+    # What was pushed once, before all repeats or after them, is as the repeats beside it.
+    first = 0 if place[block.first] == min(members) else place[block.first]
+    last = times.size - 1 if place[block.last] == max(members) else place[block.last]
+    inside = (place >= first) & (place <= last)
     rest = _apart(factors, [np.flatnonzero(inside).tolist(), np.flatnonzero(~inside).tolist()])
     by_block = float(rest @ rest) / (rest.size - 2)
     everyone = [list(range(times.size))]

@@ -550,8 +550,9 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
     -------
     tuple of (tuple of int)
         Indices of the trials whose speed and depth are within 10 % of the first one of theirs, and
-        the times of their steps, if they have any; a trial whose speed or depth is unknown stands
-        alone. Each trial alone where all would be one condition.
+        the times of their steps, if they have any; the depth of a push that never ends is that at
+        its end, and a trial whose speed or depth is unknown stands alone. Each trial alone where
+        all would be one condition.
 
     """
     groups: list[list[int]] = []

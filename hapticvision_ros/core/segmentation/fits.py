@@ -193,12 +193,11 @@ def fit_onset(
     Returns
     -------
     Onset
-        The onset.
+        The onset; of a jump half way between the two samples beside it.
 
     """
     columns = np.stack((value, travel))
     flat = 0.0
-    earliest, latest = low, high
     best_t, best_sse, baseline = low, np.inf, float(value[0])
     step = (high - low) / (grid - 1)
     for _round in range(4):
@@ -238,7 +237,7 @@ def fit_onset(
             break
     if shape == _JUMP:
         # Nothing tells where between two samples it is, and rounding shall not.
-        best_t = min(max(_between(t, best_t), earliest), latest)
+        best_t = _between(t, best_t)
     return Onset(best_t, baseline, best_sse)
 
 

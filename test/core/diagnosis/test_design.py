@@ -21,6 +21,7 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.sim.specimen import Undeclared
 import pytest
 
@@ -43,6 +44,11 @@ def rivals(measured: Any) -> tuple[Workbench, Refit, Refit]:
 def short(world: Any) -> Any:
     """Return a short campaign that hardly tells yield from thinning."""
     return world.measure(world.campaign(SHORT, hold=2.0, recover=2.0), YIELD, seed=3)
+
+
+def test_limits_know_how_deep_a_push_comes_that_never_ends() -> None:
+    ramp = Segmentation(1.0, None, None, None, 3.0, 0.04, 0.0, 0.004, None)
+    assert PushLimits.like([ramp]).deepest == 0.008
 
 
 def test_limits_are_near_what_has_been_done(short: Any) -> None:

@@ -143,6 +143,7 @@ def test_a_push_that_never_ends_repeats_only_one_as_deep() -> None:
     ramp = replace(phases(0.004, None, None), t_hold=None, t_release=None, t_contact=1.0)
     trials = [replace(ramp, t_end=end) for end in (3.0, 5.0, 3.02)]
     assert [trial.reach for trial in trials[:2]] == [0.008, 0.016]
+    assert phases(0.004, None, 10.0).reach is None
     assert conditions(trials) == [[0, 2], [1]]
     assert held_out.conditions([(None, trial) for trial in trials]) == ((0, 2), (1,))
 
@@ -327,6 +328,40 @@ def test_a_steady_change_over_two_rounds_is_told_by_the_pushes_within_each(misse
     found = _block(changed, np.full(8, QUIET), times, ROUNDS)
     assert found is not None
     assert _at_once(found, changed, times, ROUNDS)
+
+
+@pytest.mark.parametrize('once', [1, 3])
+def test_what_was_pushed_once_before_two_rounds_is_as_the_first(once: int) -> None:
+    times = 1200.0 * np.arange(8.0 + once)
+    rounds = [[index + once for index in group] for group in ROUNDS]
+    changed = np.where(times < 1200.0 * (4 + once), 0.0, 0.18) + 0.002 * np.sin(times)
+    found = _block(changed, np.full(times.size, QUIET), times, rounds)
+    assert found is not None
+    assert _at_once(found, changed, times, rounds)
+    ages = 4e-5 * times + 0.002 * np.sin(times)
+    assert not _at_once(found, ages, times, rounds)
+
+
+def test_where_the_model_misses_the_pushes_repeats_tell_a_steady_change() -> None:
+    times, groups = 600.0 * np.arange(10.0), [[0, 2, 4, 6, 8], [1, 3, 5, 7, 9]]
+    push = 0.1 * np.array([1.0, -1.0] * 5) + 1e-3 * np.sin(times)
+    changed = np.where(times < 2700.0, 0.0, 0.1) + push
+    found = _block(changed, np.full(10, QUIET), times, groups)
+    assert found is not None
+    assert _at_once(found, changed, times, groups)
+    assert not _at_once(replace(found, rest=0.02), 2e-5 * times + push, times, groups)
+
+
+def test_ageing_over_two_rounds_is_no_change_between_them(world: Any) -> None:
+    campaign = world.campaign(MIXED[:4] * 2, hold=3.0, recover=2.0, rate=100.0)
+    for effect, seen in (
+        (Undeclared('ageing', (-3.0,)), False),
+        (Undeclared('gain_step', (0.08,)), True),
+    ):
+        measured = world.measure(campaign, effect, seed=3)
+        found = measure(measured.bench()[1], conditions(measured.phases))
+        assert found is not None
+        assert (found.block is not None) == seen
 
 
 MIXED = ((0.004, 0.006), (0.012, 0.004), (0.004, 0.004), (0.012, 0.006), (0.008, 0.005))
