@@ -110,8 +110,6 @@ How well the moment of a touch is known at best, in samples.
 Whether a reading of the load cell is of a moment or a mean is not known, and each trial has a
 touch of its own to suit the one reading that it falls on.
 """
-_NO_FORCE: Final = 0.01
-"""Part of the largest force that is none: that of a tool that has lost the object."""
 _LATE: Final = 3.0
 """How late the heights of the tool may be, in their intervals."""
 _DENSE: Final = 0.05
@@ -979,8 +977,7 @@ def _jumps(force: FloatArray, trial: FitTrial, blur: Blur = _SAMPLE) -> FloatArr
 def _alike(force: FloatArray, trial: FitTrial, blur: float) -> FloatArray:
     """Return it where all moments are known to as many samples."""
     variance = np.empty(force.size)
-    known = trial.middle, trial.spacing, trial.force_count, min(blur, 1.0), trial.half_way
-    _jump_variance(force, *known, variance)
+    _jump_variance(force, trial.middle, trial.spacing, trial.force_count, min(blur, 1.0), variance)
     if blur > 1.0:
         slope = np.diff(force) / np.diff(trial.middle)
         moved = _moved(force, trial.middle, slope, blur, _spacing(trial))
@@ -1001,15 +998,9 @@ def _unsure(force: FloatArray, trial: FitTrial, blur: Blur) -> FloatArray:
 
 
 @kernel()
-def _jump_variance(  # type: ignore[no-untyped-def]
-    force, middle, spacing, count, blur, half_way, variance
-):
+def _jump_variance(force, middle, spacing, count, blur, variance):  # type: ignore[no-untyped-def]
     """Set the variance for moments known to `blur` samples, from the bends of the force."""
     last = force.size - 1
-    largest = 0.0
-    for each in force:
-        largest = max(largest, abs(each))
-    none = _NO_FORCE * largest
     before = 0.0
     here = 0.0
     slope = 0.0
@@ -1021,18 +1012,8 @@ def _jump_variance(  # type: ignore[no-untyped-def]
             steeper = (force[i + 2] - force[i + 1]) / (middle[i + 2] - middle[i + 1])
             after = 0.5 * spacing[i + 1] * abs(steeper - slope)
             slope = steeper
-        known = blur
-        if i >= half_way and blur < _TOUCH:
-            # Where the object lets go, or is touched again, a reading falls on either side too.
-            least = abs(force[i])
-            if i > 0:
-                least = min(least, abs(force[i - 1]))
-            if i < last:
-                least = min(least, abs(force[i + 1]))
-            if least <= none:
-                known = _TOUCH
         # A mean over several samples holds the jump in one of them.
-        missed = known * max(before, here, after) / max(count[i], 1.0)
+        missed = blur * max(before, here, after) / max(count[i], 1.0)
         variance[i] = missed * missed
         before = here
         here = after

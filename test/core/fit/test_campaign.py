@@ -35,7 +35,6 @@ from hapticvision_ros.core.fit.campaign import (
     Memory,
     Problem,
     replace_onsets,
-    SHARPEST,
 )
 from hapticvision_ros.core.fit.data import FitTrial, prepare
 from hapticvision_ros.core.fit.intervals import profile_intervals
@@ -358,37 +357,12 @@ def test_a_jump_is_uncertain_where_the_force_bends() -> None:
     count = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 0.0])
     variance = np.full(6, np.nan)
     middle = 0.5 * (t[1:] + t[:-1])
-    _jump_variance(force, middle, np.diff(t) / np.maximum(count, 1.0), count, 0.5, 0, variance)
+    _jump_variance(force, middle, np.diff(t) / np.maximum(count, 1.0), count, 0.5, variance)
     # Both corners turn the slope by 4.
     assert variance == pytest.approx([1.0, 1.0, 1.0, 0.25, 0.0, 0.0])
     for size in (1, 2):
-        _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, 0, variance[:size])
+        _jump_variance(force[:size], middle[:size], count, count[:size], 1.0, variance[:size])
         assert variance[:size].tolist() == [0.0] * size
-
-
-def test_where_the_object_lets_go_a_reading_may_be_of_a_moment_or_a_mean() -> None:
-    """However sharp other moments are; a touch before half of the record is moved by itself."""
-    force = np.array([0.0, 0.0, 4.0, 4.0, 2.0, 2.0, 0.001, 0.0])
-    small = np.array([0.0, 0.0, 4.0, 4.0, 2.0, 2.0, 0.2, 0.2])
-    middle, ones, variance = np.arange(8.0), np.ones(8), np.empty(8)
-    _jump_variance(force, middle, ones, ones, 0.1, 4, variance)
-    known = np.sqrt(variance)
-    assert known[:4] == pytest.approx([0.2, 0.2, 0.2, 0.2], abs=1e-3)
-    # The force falls by half first, in contact, and then to nothing.
-    assert known[4:] == pytest.approx([0.1, *[np.sqrt(1.0 / 12.0)] * 3], abs=1e-3)
-    # A twentieth of it is a force.
-    _jump_variance(small, middle, ones, ones, 0.1, 4, variance)
-    assert np.sqrt(variance[4:]).max() < 0.11
-
-
-def test_a_fit_takes_a_loss_for_less_sure_than_a_stop() -> None:
-    trial = prepare(campaign(1, 24))[0][0]
-    assert trial is not None
-    lost = (trial.half_way + trial.force.size) // 2
-    falls = [np.where(np.arange(trial.force.size) < lost, 1.0, left) for left in (0.5, 0.0)]
-    stop, loss = (np.sqrt(_jumps(force, trial, SHARPEST)[lost]) for force in falls)
-    # The one is half as large, and known to a sixteenth.
-    assert loss / stop == pytest.approx(2.0 * 16.0 / np.sqrt(12.0), rel=1e-6)
 
 
 @pytest.mark.parametrize('blur', [0.09, 0.35, 0.7])
