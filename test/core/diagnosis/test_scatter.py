@@ -148,6 +148,11 @@ def test_a_push_that_never_ends_repeats_only_one_as_deep() -> None:
     assert held_out.conditions([(None, trial) for trial in trials]) == ((0, 2), (1,))
 
 
+def test_pushes_that_differ_in_how_deep_they_come_differ_in_depth() -> None:
+    trials = [phases(0.004, depth, 10.0) for depth in (0.006, 0.006, 0.012, 0.012)]
+    assert pushed_apart(trials, [0.0, 60.0, 120.0, 180.0], Block(0, 1, 0.1, 0.0)) == ('depth',)
+
+
 def test_a_push_in_steps_repeats_no_other_than_one_of_the_same_steps() -> None:
     straight = phases(0.004, 0.006, 10.0)
     # First rests after 0.5 s and 1 s, of pushes that have their depth after two; and after four.
