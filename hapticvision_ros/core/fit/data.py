@@ -257,6 +257,10 @@ _CRITICAL: Final = 0.25
 """Swing of a servo that is critically damped."""
 _SWING_SEARCHES: Final = 4
 """Times that the search for a change of speed that swings is begun anew at most."""
+_LOOKED_AT: Final = 64
+"""Samples, or up to twice as many, of a change of speed that are looked at first."""
+_HOPELESS: Final = 10.0
+"""What they leave then, over what is enough, from which on no shape follows it."""
 _FEW_SEEN: Final = 8.0
 """Samples of the encoders in a change of speed from which on they show how it goes."""
 _FEW_CLEAN: Final = 4.0
@@ -2543,6 +2547,21 @@ def _known_shape(
 ) -> tuple[Shape, float]:
     """Return what `_shape_of` does of a corner's bytes and its further fields."""
     corner = Corner(np.frombuffer(t).copy(), np.frombuffer(value).copy(), *others)
+    step = float(np.median(np.diff(corner.t)))
+    if corner.t.size > 2 * _LOOKED_AT:
+        # A few samples tell that no shape comes near them, which takes the longest to find out.
+        every = corner.t.size // _LOOKED_AT
+        few = corner._replace(t=corner.t[::every], value=corner.value[::every])
+        part = few.t.size / corner.t.size
+        shape, shift = _own_shape(few, longest, part * enough, step)
+        slow = shape.duration + shape.lag > _FEW_SEEN * every * step
+        if slow and few.left(shape, shift) > _HOPELESS * part * enough:
+            return shape, shift
+    return _own_shape(corner, longest, enough, step)
+
+
+def _own_shape(corner: Corner, longest: float, enough: float, step: float) -> tuple[Shape, float]:
+    """Return what `_shape_of` does of a corner of encoders with a step between readings [s]."""
     found: list[tuple[float, Shape, float]] = []
     for soft in _SOFT:
         shape, left = corner._replace(rest=-1).best(0.0, longest, soft)
@@ -2591,7 +2610,7 @@ def _known_shape(
             if again >= closest:
                 break
             closest, other = again, found_again
-        seen = other.takes / float(np.median(np.diff(corner.t)))
+        seen = other.takes / step
         if seen > _FEW_SEEN or (corner.is_clean and seen > _FEW_CLEAN and closest < 0.25 * left):
             shape = other
     return shape, shift
