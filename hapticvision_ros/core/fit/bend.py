@@ -356,7 +356,9 @@ def _gone(at, duration, jerk, lag, swing, left, speed):  # type: ignore[no-untyp
 
 
 @kernel(error_model='numpy')
-def _beyond(away, duration, jerk, lag, swing, part, wait, left, speed):  # type: ignore[no-untyped-def]
+def _beyond(  # type: ignore[no-untyped-def]
+    away, duration, jerk, lag, swing, part, wait, left, speed
+):
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
     if part > 0.0:
