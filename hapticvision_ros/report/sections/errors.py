@@ -21,7 +21,7 @@ from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
 from hapticvision_ros.core.fit.held_out import labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.misses import DIMENSIONS, ROUGH, short_name
-from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
+from hapticvision_ros.report.quantities import format_number, UnitSystem
 
 TITLES: Final[tuple[tuple[Channel, str], ...]] = (
     ('force', 'Force'),
@@ -62,7 +62,7 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
             for name, misfits in found
             if any(one is not None for one in misfits)
         ]
-        tables.append((title, rows))
+        tables.append((title, units[DIMENSIONS[channel]].symbol, rows))
     sides = [name for name, _, _ in columns]
     return {
         'sides': [(name, 3 * sides.count(name)) for name in dict.fromkeys(sides)],
@@ -74,12 +74,12 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
 
 
 def _cells(misfit: Misfit | None, channel: Channel, units: UnitSystem) -> _Cells:
-    """Return the error, its share of the range, and chi squared."""
+    """Return the error, percent of the range, and chi squared."""
     if misfit is None:
         return _NOTHING
     percent, chi2 = misfit.percent_of_range, misfit.chi2
     return (
-        format_quantity(misfit.rmse, units[DIMENSIONS[channel]], digits=ROUGH),
-        '' if percent is None else f'{format_number(percent, digits=ROUGH)}\u00a0%',
+        format_number(units[DIMENSIONS[channel]].from_si(misfit.rmse), digits=ROUGH),
+        '' if percent is None else format_number(percent, digits=ROUGH),
         'unknown' if chi2 is None else format_number(chi2, digits=3),
     )

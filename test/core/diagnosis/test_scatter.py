@@ -114,7 +114,8 @@ def test_repeats_that_withdraw_otherwise_are_compared_until_then(world: Any) -> 
         )
         assert clean is not None
         assert stuck is not None
-        assert stuck.std == pytest.approx(clean.std, abs=2e-4)
+        # Much less than what so few repeats leave open; to the end they would differ by a tenth.
+        assert np.all(np.abs(stuck.std - clean.std) < 0.05 * clean.cautious)
     assert float(np.sqrt(np.mean(stuck.std**2))) == pytest.approx(
         pooled(logarithms(world.measure(made, sticky, seed=1))), rel=0.15
     )
