@@ -983,12 +983,14 @@ def _left(
     x: FloatArray,
 ) -> float:
     """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
-    servo = _servo(x, kind)
-    shapes = [servo.at(corner) for corner, _ in corners]
     negative = x < 0.0
     # How long it takes is a logarithm, but not of one that waits.
     negative[0] = negative[0] and kind.waits
-    if negative.any() or max(sum(shape[:3]) for shape in shapes) > longest:
+    if negative.any():
+        return math.inf
+    servo = _servo(x, kind)
+    shapes = [servo.at(corner) for corner, _ in corners]
+    if max(sum(shape[:3]) for shape in shapes) > longest:
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
     return sum(

@@ -2554,7 +2554,7 @@ def _known_shape(
         few = corner._replace(t=corner.t[::every], value=corner.value[::every])
         part = few.t.size / corner.t.size
         shape, shift = _own_shape(few, longest, part * enough, step)
-        slow = shape.duration + shape.lag > _FEW_SEEN * every * step
+        slow = shape.duration + shape.lag >= _FEW_SEEN * step
         if slow and few.left(shape, shift) > _HOPELESS * part * enough:
             return shape, shift
     return _own_shape(corner, longest, enough, step)
@@ -2566,7 +2566,9 @@ def _own_shape(corner: Corner, longest: float, enough: float, step: float) -> tu
     for soft in _SOFT:
         shape, left = corner._replace(rest=-1).best(0.0, longest, soft)
         shift = 0.0
-        if corner.rest >= 0:
+        # Far from a shape it does not matter where within a step the tool rests.
+        reach = math.sqrt(enough / corner.t.size) + 2.0 * corner.coarse
+        if corner.rest >= 0 and left < reach**2 * corner.t.size:
             # How the tool comes to where it rests tells where that is, within a step.
             squares = [
                 corner.best(each, longest, soft, shape.lag, roughly=True)[1]

@@ -22,6 +22,7 @@ J. A. Nelder and R. Mead, Comput. J. 7, 1965, 308-313, doi:10.1093/comjnl/7.4.30
 """
 
 from collections.abc import Callable
+import math
 
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
@@ -70,6 +71,9 @@ def minimum(
     scored = [scored_at(start), *(scored_at(start + step) for step in np.diag(sizes))]
     for turn in range(turns):
         scored.sort()
+        # Among points all of which are out of bounds nothing leads anywhere.
+        if not math.isfinite(scored[0][0]):
+            break
         if hopeful is not None and not hopeful(turn, scored[0][0]):
             break
         corner = np.array([point for _, point in scored])
