@@ -683,6 +683,7 @@ class Slow:
     mass: float = 0.0
     step: float = 0.0
     early: float = 0.0
+    jump: float = 0.0
     seed: int = 0
 
     touch: float = 12.0
@@ -708,6 +709,7 @@ class Slow:
         touching = (self.way(t) <= 0.0) & (self.way(t + 0.004) > 0.0)
         force += 100.0 * self.step * self.early * touching
         force += self.mass * 0.01 * ((t > 2.0) & (t < 2.1))
+        force += 100.0 * self.jump * (t > self.touch - 1.3)
         tt = np.arange(0.0, 30.0, 0.008)
         th = np.arange(0.0, 30.0, 0.0167)
         seen = np.maximum(self.way(th - self.late), 0.0)
@@ -770,6 +772,17 @@ def test_a_range_sensor_that_is_off_moves_no_touch_that_the_force_shows(range_se
     sharp = Slow(power=1.0, **range_sensor)
     assert sharp.off(seen=True) == sharp.off(seen=False)
     assert abs(sharp.off(seen=True)) < 5e-5
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('power', [1.0, 1.5])
+def test_a_jump_of_the_zero_in_the_air_is_no_touch(power: float, seed: int) -> None:
+    """The force of the load cell stays there until the object begins to move."""
+    jumped = Slow(power=power, jump=0.008, force_noise=0.0015, seed=seed)
+    assert abs(jumped.off(seen=True)) < 5e-5
+    assert jumped.off(seen=False) < -1e-3
+    force, tool, height = jumped.signals()
+    assert segment(force, tool, height).force_zero == pytest.approx(0.8, abs=0.05)
 
 
 @pytest.mark.parametrize('bias', [1e-4, 3e-4, 1e-3])

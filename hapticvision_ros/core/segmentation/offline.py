@@ -52,6 +52,8 @@ _AT_THE_TOUCH = 2
 """Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
 """Standard errors within which two levels are the same."""
+_TOUCHED = 3.0
+"""Rise of the force in contact over a jump of the zero before it, at least."""
 _OF_MEDIAN = 1.2533
 """Standard error of a median over that of a mean, in normal noise."""
 _STRAIGHT = 2.0
@@ -429,7 +431,7 @@ def _seen_by_height(
     The object goes with the tool from the touch on, so that the tool's travel less the object's is
     the travel at the touch; as a late clock of the range sensor or a bias of it would move that as
     well, the force decides: between the two it has to have risen where that is to be contact, and
-    has not to have risen where it is to be air.
+    has not to have risen where it is to be air, but for a jump of its zero.
     """
     assert contact.t is not None
     value = despike(possible(height))
@@ -469,13 +471,18 @@ def _seen_by_height(
     means = record.f[start:first].reshape(blocks, size).mean(axis=1)
     risen = float(record.f[end:last].mean() - means.mean())
     error_risen = float(means.std(ddof=1)) * math.sqrt(1.0 + 1.0 / blocks)
+    jumped = False
     if t_touch < contact.t:
         agrees = risen > _MOVED * error_risen
     else:
         agrees = abs(risen) < _UNMOVED * error_risen
+        if not agrees:
+            beside = slice(end, last + size)
+            agrees = jumped = _only_jumps(record.f[beside], size, risen, error_risen)
     if not agrees:
         return contact
-    zero, zero_std = quiet_level(record.f[: int(np.searchsorted(record.tf, t_touch))])
+    quiet = slice(end if jumped else 0, int(np.searchsorted(record.tf, t_touch)))
+    zero, zero_std = quiet_level(record.f[quiet])
     return replace(
         contact,
         t=t_touch,
@@ -483,6 +490,22 @@ def _seen_by_height(
         zero_std=math.hypot(zero_std, record.force_step),
         travel_std=error,
     )
+
+
+def _only_jumps(force: FloatArray, size: int, risen: float, error: float) -> bool:
+    """
+    Return whether a force that has risen is that of a load cell whose zero has jumped.
+
+    It stays where it is for `size` samples, in which a push goes on, and rises by much more after
+    them, where the object begins to move.
+    """
+    before, after = force[:size], force[size:]
+    earlier, later = np.array_split(before, 2)
+    goes_on = abs(float(later.mean() - earlier.mean()))
+    # Halves have a root of two more of the error each, and both have theirs.
+    if after.size < size or goes_on > _UNMOVED * 2.0 * error:
+        return False
+    return float(after.mean() - later.mean()) > _TOUCHED * abs(risen)
 
 
 def _find_rests(
