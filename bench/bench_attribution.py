@@ -254,7 +254,7 @@ def case(task: dict[str, Any]) -> dict[str, Any]:
         'not_testable': list(found.not_testable),
         'look_alikes': [[a, b, round(c, 3)] for a, b, c in found.look_alikes],
         'ranking': [
-            [c.effect, round(c.score, 1), round(c.delta_bic, 1), round(c.strength, 3)]
+            [c.effect, round(c.score, 1), round(c.delta_bic, 1), round(c.strength or 0.0, 3)]
             for c in found.ranking[:6]
         ],
         'where': list(found.unexplained.where) if found.unexplained else [],

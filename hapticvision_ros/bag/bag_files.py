@@ -94,7 +94,7 @@ def _what_else(path: Path) -> str:
     if any(path.glob('*.mcap.zstd')):
         return 'its files are compressed as a whole, decompress them with "zstd -d" first'
     if any(path.glob('*/*.mcap')):
-        return 'it holds bags in directories of their own, name them one by one'
+        return 'it holds bags in directories of their own, name one of these'
     return 'it holds no .mcap file'
 
 

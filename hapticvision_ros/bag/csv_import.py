@@ -303,6 +303,10 @@ def _check_header(path: Path, header: _Header, choices: Sequence[Column]) -> Non
     for quantity, count in Counter(column.quantity for column in header.columns).items():
         if count > 1:
             rivals = [column.header for column in header.columns if column.quantity == quantity]
+            if len(set(rivals)) == 1:
+                raise InputError(
+                    f"{where}: two columns are called '{rivals[0]}'; rename one of them."
+                )
             raise InputError(
                 f'{where}: {_either(rivals)} could be the {quantity}; choose one, as in '
                 f"--column '{quantity}={rivals[0]}:{next(iter(UNITS[quantity]))}'."
@@ -404,15 +408,16 @@ def _careful_values(
     warnings = []
     if wide:
         warnings.append(_told(path, wide, 'more cells than the header has', 'row'))
-    point = any('.' in cell for cells in table for cell in cells)
-    comma = any(',' in cell for cells in table for cell in cells)
-    decimal = ',' if comma and not point else '.'
+    points = sum('.' in cell and ',' not in cell for cells in table for cell in cells)
+    commas = sum(',' in cell and '.' not in cell for cells in table for cell in cells)
+    decimal, other = (',', '.') if commas > points else ('.', ',')
     values = np.full((len(table), len(places)), math.nan)
     texts: dict[tuple[int, int], str] = {}
     for i, (number, cells) in enumerate(zip(kept, table, strict=True)):
         for j, cell in enumerate(cells):
             text = cell.replace(',', '.') if decimal == ',' else cell
-            if _NUMBER.fullmatch(text):
+            # A mark of thousands, say, must not pass for the decimal one.
+            if other not in cell and _NUMBER.fullmatch(text):
                 values[i, j] = float(text)
             elif cell:
                 texts[number, j] = cell[:40]
@@ -490,7 +495,7 @@ def _strike_unusable(path: Path, cells: _Cells, columns: Sequence[Column]) -> li
         if column.quantity in NEEDED and not usable[:, j].any():
             raise InputError(
                 f'{path}, line {lost[0]}: {what}, nor is any other cell of this column; write '
-                'plain numbers without thousands separators.'
+                'plain numbers with one decimal mark in all columns.'
             )
         kind = 'row' if column.quantity == 'time' else 'sample'
         warnings.append(_told(path, lost, what, kind))
@@ -578,6 +583,8 @@ def _signals(
         if good.size < 2:
             if quantity not in NEEDED:
                 continue
+            if timed.size > 1 and np.ptp(series['time'][timed]) == 0.0:
+                raise InputError(f'{path}: the time is the same in all rows.')
             raise InputError(
                 f'{path} holds {good.size} usable sample{"s" * (good.size != 1)} of the '
                 f'{quantity}; a trial needs at least two.'
@@ -643,7 +650,8 @@ def import_csv(
     if tool.value.max() > height:
         raise InputError(
             f'{path}: the tool goes {tool.value.max() * 1e3:g} mm deep into an object that is '
-            f'{height * 1e3:g} mm high; say its height with --height.'
+            f'{height * 1e3:g} mm high; say its height with --height, or the right unit of the '
+            'displacement in its header or with --column.'
         )
     start, origin, time_zero = _start(path, start_ns, list(signals.values()))
     provenance = {

@@ -248,8 +248,10 @@ class BagWriter:
 
     def write_metadata(self, name: str, mapping: Mapping[str, str]) -> None:
         """Write a named record of texts, such as the provenance of the data."""
+        # The name of a file may be no text; what it cannot be read as is a question mark.
+        texts = {key: os.fsencode(text).decode(errors='replace') for key, text in mapping.items()}
         try:
-            self._writer.add_metadata(name, dict(mapping))
+            self._writer.add_metadata(name, texts)
         except OSError as error:
             raise self._failure(error) from error
 

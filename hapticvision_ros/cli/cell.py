@@ -20,6 +20,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TYPE_CHECKING
 
+from hapticvision_ros.cli.command import check_out
 from hapticvision_ros.cli.processes import node, program, ros_environment, Supervisor
 from hapticvision_ros.cli.replay import check_domain
 from hapticvision_ros.core.errors import InputError, UsageError
@@ -140,6 +141,8 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError(f'{options} belongs to an experiment: add --run.')
     if args.run and args.out is None:
         raise UsageError('--run needs --out DIR, the folder for the bags.')
+    if args.run:
+        check_out(args.out)
     if args.config is not None:
         known = {f'{name}.yaml' for name in NODES} | {WORLD_CONFIG}
         if not args.config.is_dir():

@@ -18,9 +18,12 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import version
 from io import TextIOWrapper
 import os
+from pathlib import Path
 import sys
+from tempfile import TemporaryDirectory
 from typing import Final, NoReturn, Protocol, TextIO
 
 from hapticvision_ros.core.errors import HapticVisionError, UsageError
@@ -94,12 +97,29 @@ def run(arguments: Sequence[str]) -> int:
         return UsageError.exit_code
 
 
+def check_out(out: Path) -> None:
+    """Refuse an ``--out`` that can be no folder, or not be written to, before work begins."""
+    there = next((path for path in (out, *out.parents) if path.exists()), out)
+    if not there.is_dir():
+        raise UsageError(f'--out {out}: {there} is a file: name a directory.')
+    try:
+        # What may be written there is known once something was: rights do not tell all of it.
+        with TemporaryDirectory(prefix='.hapticvision-', dir=there):
+            pass
+    except OSError as error:
+        raise UsageError(
+            f'--out {out}: {there} cannot be written to ({error.strerror}): choose another.'
+        ) from error
+
+
 def _run(arguments: Sequence[str]) -> int:
     """Parse the arguments and run the verb."""
     parser = Parser(
         prog='hapticvision',
         description='Robotic texture analyser: rheological parameters from touch and sight.',
     )
+    release = f'hapticvision_ros {version("hapticvision_ros")}'
+    parser.add_argument('--version', action='version', version=release)
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     asked = next((argument for argument in arguments if argument in VERBS), None)
     module: VerbModule | None = None

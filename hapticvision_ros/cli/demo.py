@@ -222,7 +222,7 @@ def _measured_bags(csv: Path | None, out: Path) -> tuple[str, list[Path]]:
     folder = share_folder() / SHIPPED_FOLDER
     bags = sorted(path.parent for path in folder.glob('*/metadata.yaml'))
     if bags:
-        print('\nThe silicone data are not here (README.md says how to get them).')
+        print('\nThe silicone data are not here (bags/README.md says how to get them).')
     else:
         print(f'\nNo real data: this installation has neither {SILICONE_FOLDER} nor {folder}.')
     return 'Real muscle fibres, as shipped', bags

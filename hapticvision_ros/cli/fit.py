@@ -28,10 +28,10 @@ import json
 import os
 from pathlib import Path
 import sys
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Final, Self, TextIO, TYPE_CHECKING
 
+from hapticvision_ros.cli.command import check_out
 from hapticvision_ros.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -292,17 +292,7 @@ def _check(args: argparse.Namespace) -> None:
             raise UsageError(
                 '--bootstrap tests the search for effects, which --model replaces: leave one out.'
             )
-    there = next((path for path in (args.out, *args.out.parents) if path.exists()), args.out)
-    if not there.is_dir():
-        raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')
-    try:
-        # What may be written there is known once something was: rights do not tell all of it.
-        with TemporaryDirectory(prefix='.hapticvision-', dir=there):
-            pass
-    except OSError as error:
-        raise UsageError(
-            f'--out {args.out}: {there} cannot be written to ({error.strerror}): choose another.'
-        ) from error
+    check_out(args.out)
     seen: set[Path] = set()
     for bag in [*args.bags, *args.hold_out]:
         resolved = bag.resolve()

@@ -30,6 +30,7 @@ from pathlib import Path
 import re
 from typing import Any, Final, TYPE_CHECKING
 
+from hapticvision_ros.cli.command import check_out
 from hapticvision_ros.cli.export import depths, fitted_model, quantity, read_result
 from hapticvision_ros.cli.fit import Progress, write_json
 from hapticvision_ros.cli.tips import ByTip, Identified
@@ -295,11 +296,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse what does not fit together, before anything is read."""
-    there = next((path for path in (args.out, *args.out.parents) if path.exists()), args.out)
-    if not there.is_dir():
-        raise UsageError(f'--out {args.out}: {there} is a file: name a directory.')
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise UsageError(f'--out {args.out}: {there} cannot be written to: choose another.')
+    check_out(args.out)
     if args.close_loop and len(args.bags) < _LEAST_HELD_OUT:
         raise UsageError(
             f'--close-loop: a bag is held out, so give {_LEAST_HELD_OUT} or more, not '

@@ -330,6 +330,7 @@ def _compared(
 ) -> CampaignAnalysis:
     """Return the analysis with how far the models miss the trials."""
     from hapticvision_ros.core.fit.held_out import (
+        are_repeats,
         fitted_trials,
         held_out_change,
         misfits,
@@ -345,9 +346,11 @@ def _compared(
         by: HeldOutBy | None = 'name'
         unseen, against = _predicted(trials, held_out, fits), held_out
     else:
-        tell('leaving out each condition of the push in turn')
-        by, against = 'condition', trials
-        unseen = _left_out(trials, fits, diagnosis, tell, workers)
+        by, against, unseen = 'condition', trials, list['Unseen']()
+        if len(trials) > 1:
+            what = 'repeat' if are_repeats(trials) else 'condition of the push'
+            tell(f'leaving out each {what} in turn')
+            unseen = _left_out(trials, fits, diagnosis, tell, workers)
     errors = [misfits(one.trials, against, noise) for one in unseen]
     if not any(errors):
         by, errors, unseen = None, [None] * len(fits), []

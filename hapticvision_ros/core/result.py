@@ -242,7 +242,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         'score': _number(candidate.score),
         'delta_bic': _number(candidate.delta_bic),
         'held_out_ratio': _number(candidate.held_out_ratio),
-        'strength': _number(candidate.strength),
+        'strength': None if candidate.strength is None else _number(candidate.strength),
     }
 
 

@@ -22,7 +22,7 @@ from typing import Final
 from hapticvision_ros.core.composition import BASE
 from hapticvision_ros.core.diagnosis.records import Channel, Misfit
 from hapticvision_ros.core.fit.campaign import TrialFit
-from hapticvision_ros.core.fit.held_out import labels, PHASES, residuals
+from hapticvision_ros.core.fit.held_out import are_repeats, labels, PHASES, residuals
 from hapticvision_ros.core.pipeline import CampaignAnalysis, FittedModel, TrialAnalysis
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.report.quantities import (
@@ -185,11 +185,12 @@ def held_out_sentences(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS)
     before = campaign.before.held_out
     if before is None:
         return []
-    how = (
-        'On the trials held out'
-        if campaign.held_out_by == 'name'
-        else 'On each speed and depth in turn, predicted from the others,'
-    )
+    if campaign.held_out_by == 'name':
+        how = 'On the trials held out'
+    elif are_repeats(campaign.trials):
+        how = 'On each trial in turn, predicted from the others of the same speed and depth,'
+    else:
+        how = 'On each speed and depth in turn, predicted from the others,'
     after = None if campaign.after is None else campaign.after.held_out
     sentences = []
     channels: tuple[tuple[Channel, str], ...] = (

@@ -15,6 +15,7 @@
 
 """A measured CSV file becomes the trial that it holds, or one sentence on why it cannot."""
 
+import os
 from pathlib import Path
 
 from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, TOOL_HEIGHT, WRENCH
@@ -25,6 +26,7 @@ from hapticvision_ros.bag.csv_import import (
     NOMINAL_START_NS,
     read_csv,
 )
+from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.core.errors import InputError, UsageError
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -259,7 +261,12 @@ def test_a_fault_costs_no_more_than_itself_and_is_told_with_its_line(
         ('time_s,force,displacement_mm\n0,1,1\n', "'force' has no unit; rename it to force_N"),
         ('time_s,force_dyn,displacement_mm\n0,1,1\n', "unit of the column 'force_dyn' is not"),
         ('time_s,force_N,force_mN,displacement_mm\n0,1,1,1\n', 'force_N or force_mN could be'),
-        ('time_s,force_N,force_N,displacement_mm\n0,1,1,1\n', 'could be the force'),
+        ('time_s,force_N,force_N,displacement_mm\n0,1,1,1\n', "two columns are called 'force_N'"),
+        (HEAD + '1,1,1\n1,2,2\n1,3,3\n', 'the time is the same in all rows'),
+        (
+            HEAD.replace(',', ';') + '0,0;1.5;1,0\n0,5;2.5;2,0\n',
+            "'1.5' under 'force_N' is not a usable number, nor",
+        ),
         (HEAD + '0,1,x\n1,2,y\n', "'x' under 'displacement_mm' is not a usable number, nor"),
         (HEAD + '0,0,1,5,2,5\n0,5,1,5,2,5\n', 'where the decimal mark is a comma'),
         (HEAD + '0,1,1\n1,1,1\n2,1,1\n' * 2, 'time falls from 2 s to 0 s'),
@@ -280,6 +287,24 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(
     assert sentence in message
     assert '\n' not in message
     assert message.endswith('.')
+
+
+def test_a_mark_of_thousands_costs_its_cell_only(tmp_path: Path) -> None:
+    rows = '0,0;0,1;1,0\n0,5;0,2;2,0\n1,0;1.000,5;3,0\n1,5;1.000;4,0\n2,0;0,4;5,0\n'
+    path = _file(tmp_path, HEAD.replace(',', ';') + rows)
+    read = read_csv(path)
+    assert read.signals['force'].value.tolist() == [0.1, 0.2, 0.4]
+    assert read.signals['displacement'].t.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    told = "line 4, 5: '1.000,5' under 'force_N' is not a usable number; 2 samples are left out."
+    assert list(read.warnings) == [f'{path}, {told}']
+
+
+def test_a_name_that_is_no_text_is_imported(tmp_path: Path) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/n\xe9.csv'))
+    path.write_text(HEAD + '0,1,1\n1,n/a,2\n2,3,3\n')
+    made = import_csv(path, tmp_path / 'bags')
+    trial = read_trial(made.bag)
+    assert trial.force.value.tolist() == [1.0, 3.0]
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -83,6 +83,16 @@ def test_what_cannot_work_is_refused_before_anything_starts(arguments, says, cap
     assert error.count('\n') == 1, 'one sentence'
 
 
+def test_a_folder_that_cannot_be_one_is_told_before_anything_starts(tmp_path, capsys):
+    (tmp_path / 'bags').write_text('')
+    goal = ['--speeds', '0.004', '--depths', '0.005']
+    assert main(['cell', '--run', '--out', str(tmp_path / 'bags'), *goal]) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith('hapticvision: --out ')
+    assert told.err.count('\n') == 1
+    assert not told.out
+
+
 def test_a_limit_of_the_users_own_is_kept(tmp_path, capsys):
     own = '/**: {ros__parameters: {max_speed: 0.005}}'
     (tmp_path / 'arm_push_controller.yaml').write_text(own)

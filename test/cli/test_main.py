@@ -15,6 +15,7 @@
 """The command line as a whole: verbs, exit codes, and how little it imports for help."""
 
 import importlib
+from importlib.metadata import version
 import os
 from pathlib import Path
 import subprocess
@@ -34,6 +35,13 @@ def _fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
         raise error
 
     monkeypatch.setattr(fit, 'run', fail)
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(['--version'])
+    assert not ended.value.code
+    assert capsys.readouterr().out == f'hapticvision_ros {version("hapticvision_ros")}\n'
 
 
 def test_help_names_every_verb_and_ends_with_zero(capsys: pytest.CaptureFixture[str]) -> None:

@@ -599,6 +599,21 @@ def test_the_last_way_to_the_deepest_rest_tells_when_it_begins(
     assert found.whole.t_release == pytest.approx(sum(lasts[:-1]), abs=0.05)
 
 
+def test_the_turned_force_of_an_object_that_relaxes_is_told() -> None:
+    """For most of the time that the tool is deep nothing is left of it."""
+    t = np.arange(0.0, 40.0, 0.02)
+    x = np.interp(t, [0.0, 2.0, 3.0, 35.0, 36.0], [-5e-3, -5e-3, 5e-3, 5e-3, -5e-3])
+    relaxing = np.where((t > 2.5) & (t < 35.0), np.where(t < 3.0, t - 2.5, 0.0), 0.0)
+    relaxing += np.where((t >= 3.0) & (t < 35.0), 0.5 * np.exp(-(t - 3.0)), 0.0)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(t.size)
+    glitch = np.where(np.abs(t - 1.0) < 0.03, -20.0, 0.0)
+    right = segment(Signal(t, 10.0 * relaxing + noise + glitch), Signal(t, 0.05 - x))
+    assert right.t_contact == pytest.approx(2.5, abs=0.05)
+    turned = segment(Signal(t, noise - 10.0 * relaxing), Signal(t, 0.05 - x))
+    assert turned.t_contact is None
+    assert turned.warnings[0].endswith('turn its sign')
+
+
 @pytest.mark.parametrize('which', ['force', 'height'])
 def test_a_sign_that_is_turned_is_told_and_is_no_contact(which: str) -> None:
     trial = simulate(Case(STANDARD_SOLID))

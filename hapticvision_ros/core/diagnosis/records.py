@@ -106,8 +106,9 @@ class Candidate:
         `score` less the price of its parameters: what it gains by Schwarz's criterion.
     held_out_ratio : float or None
         Squares on trials left out in turn, with the effect over without; None where unknown.
-    strength : float
-        Root mean square of what it changes in the prediction, over the noise of a sample.
+    strength : float or None
+        Root mean square of what it changes in the prediction, over the noise of a sample; None
+        where no refit was needed, and score and gain are what a linear model promises.
 
     """
 
@@ -115,7 +116,7 @@ class Candidate:
     score: float
     delta_bic: float
     held_out_ratio: float | None
-    strength: float
+    strength: float | None
 
 
 @dataclass(frozen=True, slots=True)

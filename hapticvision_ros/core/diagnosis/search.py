@@ -916,7 +916,7 @@ class _Search:
                 score=each.score,
                 delta_bic=each.gain,
                 held_out_ratio=plain.get(each.effect),
-                strength=each.strength,
+                strength=None if each.refit is None else each.strength,
             )
             for each in first.candidates
             if each is best[without_law(each.effect)]

@@ -555,6 +555,18 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
         all would be one condition.
 
     """
+    groups = _pushes(campaign)
+    if len(groups) == 1:
+        return tuple((index,) for index in groups[0])
+    return tuple(tuple(group) for group in groups)
+
+
+def are_repeats(campaign: Sequence[Segmented]) -> bool:
+    """Return whether all trials repeat one push, so that each alone is left out in turn."""
+    return len(_pushes(campaign)) == 1
+
+
+def _pushes(campaign: Sequence[Segmented]) -> list[list[int]]:
     groups: list[list[int]] = []
     firsts: list[tuple[float, ...] | None] = []
     for index, (_, phases) in enumerate(pairs_of(campaign)):
@@ -570,9 +582,7 @@ def conditions(campaign: Sequence[Segmented]) -> tuple[tuple[int, ...], ...]:
         else:
             groups.append([index])
             firsts.append(push)
-    if len(groups) == 1:
-        return tuple((index,) for index in groups[0])
-    return tuple(tuple(group) for group in groups)
+    return groups
 
 
 def _alike(push: tuple[float, ...], other: tuple[float, ...]) -> bool:
@@ -675,9 +685,10 @@ def leave_one_condition_out(
         ]
 
     results: list[dict[int, tuple[TrialFit, float]]] = []
+    what = 'repeats' if are_repeats(campaign) else 'conditions of the push'
     for count, found in enumerate(parallel.each(predicted, groups, workers), start=1):
         if progress is not None:
-            progress(f'left out {count} of {len(groups)} conditions of the push')
+            progress(f'left out {count} of {len(groups)} {what}')
         for number, one in enumerate(found):
             if number == len(results):
                 results.append({})

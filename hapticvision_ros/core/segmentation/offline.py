@@ -61,6 +61,8 @@ _STRAIGHT = 2.0
 _CLEARLY = 3.0
 _DEEP = 0.8
 """How much larger is a matter of sign, and the share of the way from which on a tool is deep."""
+_DEEPEST = 0.99
+"""The share of the way from which on a push is over."""
 _BLOCKS = 50
 _AGAIN = 4
 """Rounds in which the touch that the heights show, and what is before it, are found."""
@@ -322,10 +324,20 @@ def _turned(record: _Record, options: SegmentationOptions) -> str | None:
     usual = median_level(record.f[: max(record.f.size // 100, _FEWEST)])
     pressed, free = median_level(deep) - usual, median_level(shallow) - usual
     # An adhesive object pulls as the tool goes away, not where it is deepest.
-    if -pressed > max(least, _CLEARLY * abs(free)) and float(deep.max()) - usual < -pressed:
+    turned = -pressed > max(least, _CLEARLY * abs(free)) and float(deep.max()) - usual < -pressed
+    # One that relaxes has let go of the tool where it stays.
+    push = record.f[: int(np.argmax(depth > _DEEPEST))]
+    begun = push[depth[: push.size] < 1.0 - _DEEP]
+    fallen = 0.0
+    if begun.size >= _FEWEST:
+        # A glitch is a few samples.
+        zero = median_level(begun)
+        fallen = zero - float(np.sort(push)[_FEWEST - 1])
+        turned = turned or fallen > max(least, _CLEARLY * (float(record.f.max()) - zero))
+    if turned:
         return (
-            f'the force falls by {-pressed:.3g} N where the tool is deepest: it is to be positive '
-            'in compression, so turn its sign'
+            f'the force falls by {max(-pressed, fallen):.3g} N as the tool goes down: it is to be '
+            'positive in compression, so turn its sign'
         )
     if free > max(least, _CLEARLY * abs(pressed)):
         return (

@@ -45,7 +45,7 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
                 'unknown'
                 if one.held_out_ratio is None
                 else format_number(one.held_out_ratio, digits=3),
-                format_number(one.strength, digits=2),
+                'not refitted' if one.strength is None else format_number(one.strength, digits=2),
                 one.effect in found.effects,
             )
             for one in found.ranking

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
-from hapticvision_ros.core.fit.held_out import labels, PHASES
+from hapticvision_ros.core.fit.held_out import are_repeats, labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.misses import DIMENSIONS, ROUGH, short_name
 from hapticvision_ros.report.quantities import format_number, UnitSystem
@@ -69,6 +69,7 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
         'models': [model for _, model, _ in columns],
         'tables': tables,
         'held_out_by': campaign.held_out_by,
+        'repeats': are_repeats(campaign.trials),
         'diagnosed': campaign.diagnosis is not None and campaign.after is not None,
     }
 

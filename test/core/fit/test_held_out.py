@@ -24,6 +24,7 @@ from hapticvision_ros.core.fit import data
 from hapticvision_ros.core.fit.campaign import Fit, fit
 from hapticvision_ros.core.fit.data import arm_of
 from hapticvision_ros.core.fit.held_out import (
+    are_repeats,
     conditions,
     fitted_trials,
     held_out_change,
@@ -281,6 +282,8 @@ def test_pushes_within_a_tenth_in_speed_and_depth_are_one_condition() -> None:
 
 def test_repeats_of_one_push_are_left_out_one_by_one() -> None:
     assert conditions([_push(5.0, 5.0)] * 3) == ((0,), (1,), (2,))
+    assert are_repeats([_push(5.0, 5.0)] * 3)
+    assert not are_repeats([_push(5.0, 5.0), _push(5.0, 8.0)])
     # Nor is a push in steps one that goes on at once.
     trial, straight = _push(5.0, 5.0)
     step = replace(straight, t_contact=1.0, t_first=1.5, t_hold=3.0)
