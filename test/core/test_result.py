@@ -109,7 +109,7 @@ def _diagnosed(campaign: CampaignAnalysis) -> CampaignAnalysis:
         look_alikes=(('yield_force', 'shear_thinning', 0.98),),
         ranking=(
             Candidate('yield_force', 900.0, 890.0, 0.1, 3.0),
-            Candidate('damage', 1.0, -8.0, None, 0.01),
+            Candidate('damage', 1.0, -8.0, None, None),
         ),
         unexplained=Unexplained(0.2, ('the hold of the force',)),
         next_trial=NextTrial(

@@ -96,7 +96,7 @@ def diagnosed(campaign: CampaignAnalysis) -> CampaignAnalysis:
         look_alikes=(('parallel_spring', 'springpot', 0.987),),
         ranking=(
             Candidate('parallel_spring', 4321.0, 4312.0, 0.12, 17.0),
-            Candidate('damage', -0.3, -9.5, None, 0.01),
+            Candidate('damage', -0.3, -9.5, None, None),
         ),
         unexplained=Unexplained(0.23, ('the force at the start of the hold, by 0.3 N',)),
         next_trial=NextTrial(
