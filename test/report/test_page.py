@@ -164,7 +164,8 @@ def test_a_diagnosis_stands_with_all_that_it_says(
         for s in sentences
     )
     assert any('0.200\xa0mm/s, 5.00\xa0mm deep, and hold for 60.0\xa0s' in s for s in sentences)
-    for text in (*sentences, *found.not_testable, *found.warnings, '4 320', '0.987', 'damage', 'not refitted'):
+    names = '4 320', '0.987', 'damage', 'not refitted'
+    for text in (*sentences, *found.not_testable, *found.warnings, *names):
         assert re.sub(r'\s+', ' ', text) in section.replace('\u202f', ' ')
     assert sentences[0] in text_of(full.xpath('//section[@id="summary"]')[0])
     (accepted,) = full.xpath('//tr[@class="accepted"]/th')
