@@ -2082,11 +2082,9 @@ def _closely(
     """Return a path that follows the samples; None where it takes too many corners."""
     if noise <= 0.0 or t.size < 16:
         return *_thinned(*_curved(t, value)), []
-    breaks = sorted({b for b in events if t[1] < b < t[-2]})
+    breaks = tuple(sorted({b for b in events if t[1] < b < t[-2]}))
     most = _MOST_PIECES * _ways(value)
-    pieces = _pieces(t, value, breaks, noise, _UNBENT * most)
-    knots, levels = _levels(t, value, _meet(t, value, pieces, noise))
-    knots, levels = _followed(t, value, knots, levels, noise, most)
+    knots, levels = _by_pieces(t.tobytes(), value.tobytes(), breaks, noise, most)
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
     found = None
     if knots.size <= most or (knots.size <= _UNBENT * most and _goes_by_ramps(knots, levels)):
@@ -2099,6 +2097,21 @@ def _closely(
         if other is not None and (found is None or _timed(other) >= _timed(found)):
             return other
     return found
+
+
+@lru_cache(maxsize=64)
+def _by_pieces(
+    t: bytes, value: bytes, breaks: tuple[float, ...], noise: float, most: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of straight pieces that follow samples, and the levels there."""
+    # A campaign's paths are made many times, for arms that change their speed otherwise.
+    times, heights = np.frombuffer(t).copy(), np.frombuffer(value).copy()
+    pieces = _pieces(times, heights, breaks, noise, _UNBENT * most)
+    knots, levels = _levels(times, heights, _meet(times, heights, pieces, noise))
+    knots, levels = _followed(times, heights, knots, levels, noise, most)
+    for each in (knots, levels):
+        each.flags.writeable = False
+    return knots, levels
 
 
 def _goes_by_ramps(knots: FloatArray, levels: FloatArray) -> bool:
