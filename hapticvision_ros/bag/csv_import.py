@@ -81,6 +81,7 @@ FORCE_SD: Final = Topic(
     'outside the contract.',
 )
 
+_THOUSANDS: Final = re.compile(r'[+-]?[1-9]\d{0,2}([.,]\d{3})+')
 _NUMBER: Final = re.compile(r'[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?')
 _BINARY_KINDS: Final = (
     (b'PK\x03\x04', 'an Excel workbook or zip archive: export it as CSV'),
@@ -380,6 +381,21 @@ def _fast_values(rows: Sequence[str], header: _Header, places: list[int]) -> Flo
     return values
 
 
+def _decimal_mark(cells: Iterable[str]) -> str:
+    """Return the mark of most numbers that one mark tells; a comma where no number has a point."""
+    found = dict.fromkeys('.,', 0)
+    clear = dict(found)
+    for cell in cells:
+        for mark in found:
+            if mark in cell and _NUMBER.fullmatch(cell.replace(mark, '.', 1)):
+                found[mark] += 1
+                # Three digits after it may be thousands.
+                clear[mark] += not _THOUSANDS.fullmatch(cell)
+    if not found['.']:
+        return ',' if found[','] else '.'
+    return ',' if clear[','] > clear['.'] else '.'
+
+
 def _careful_values(
     path: Path,
     rows: Sequence[str],
@@ -408,9 +424,8 @@ def _careful_values(
     warnings = []
     if wide:
         warnings.append(_told(path, wide, 'more cells than the header has', 'row'))
-    points = sum('.' in cell and ',' not in cell for cells in table for cell in cells)
-    commas = sum(',' in cell and '.' not in cell for cells in table for cell in cells)
-    decimal, other = (',', '.') if commas > points else ('.', ',')
+    decimal = _decimal_mark(cell for cells in table for cell in cells)
+    other = '.' if decimal == ',' else ','
     values = np.full((len(table), len(places)), math.nan)
     texts: dict[tuple[int, int], str] = {}
     for i, (number, cells) in enumerate(zip(kept, table, strict=True)):

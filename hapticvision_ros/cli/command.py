@@ -69,6 +69,15 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f'{message.rstrip(".")}; see {self.prog} --help.')
 
 
+class _Version(argparse.Action):
+    """Look the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Print it and exit."""
+        print(f'hapticvision_ros {version("hapticvision_ros")}')
+        parser.exit()
+
+
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code, unless it is interrupted."""
     for stream in (sys.stdout, sys.stderr):
@@ -118,8 +127,7 @@ def _run(arguments: Sequence[str]) -> int:
         prog='hapticvision',
         description='Robotic texture analyser: rheological parameters from touch and sight.',
     )
-    release = f'hapticvision_ros {version("hapticvision_ros")}'
-    parser.add_argument('--version', action='version', version=release)
+    parser.add_argument('--version', action=_Version, nargs=0, help='show the version and exit')
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     asked = next((argument for argument in arguments if argument in VERBS), None)
     module: VerbModule | None = None

@@ -299,6 +299,15 @@ def test_a_mark_of_thousands_costs_its_cell_only(tmp_path: Path) -> None:
     assert list(read.warnings) == [f'{path}, {told}']
 
 
+def test_marks_of_thousands_are_no_decimal_commas(tmp_path: Path) -> None:
+    """Which they would be, by their number."""
+    rows = '0;1,500;1\n1;2,500;2\n2;3,500;3.5\n3;900;4\n4;950;5\n'
+    path = _file(tmp_path, HEAD.replace(',', ';') + rows)
+    read = read_csv(path)
+    assert read.signals['force'].value.tolist() == [900.0, 950.0]
+    assert "'1,500' under 'force_N' is not a usable number; 3 samples" in read.warnings[0]
+
+
 def test_a_name_that_is_no_text_is_imported(tmp_path: Path) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/n\xe9.csv'))
     path.write_text(HEAD + '0,1,1\n1,n/a,2\n2,3,3\n')

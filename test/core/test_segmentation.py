@@ -614,6 +614,23 @@ def test_the_turned_force_of_an_object_that_relaxes_is_told() -> None:
     assert turned.warnings[0].endswith('turn its sign')
 
 
+@pytest.mark.parametrize('what', ['start', 'dropout', 'snap'])
+def test_a_force_that_falls_but_not_with_the_push_is_not_turned(what: str) -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    x = np.interp(t, [0.0, 2.0, 10.0, 19.0, 20.0], [-5e-3, -5e-3, 3e-3, 3e-3, -5e-3])
+    force = 0.3 * np.maximum(x, 0.0) / 3e-3 + 5e-3 * np.random.default_rng(3).standard_normal(
+        t.size
+    )
+    if what == 'start':
+        force -= np.where((t > 2.0) & (t < 2.12), 1.2, 0.0)
+    elif what == 'dropout':
+        force -= np.where((t > 4.0) & (t < 4.2), 5.0, 0.0)
+    else:
+        force -= np.where((t > 6.9) & (t < 7.3), 1.2, 0.0)
+    found = segment(Signal(t, force), Signal(t, 0.05 - x))
+    assert not any(warning.endswith('turn its sign') for warning in found.warnings)
+
+
 @pytest.mark.parametrize('which', ['force', 'height'])
 def test_a_sign_that_is_turned_is_told_and_is_no_contact(which: str) -> None:
     trial = simulate(Case(STANDARD_SOLID))
@@ -787,6 +804,32 @@ def test_a_range_sensor_that_is_off_moves_no_touch_that_the_force_shows(range_se
     sharp = Slow(power=1.0, **range_sensor)
     assert sharp.off(seen=True) == sharp.off(seen=False)
     assert abs(sharp.off(seen=True)) < 5e-5
+
+
+@pytest.mark.parametrize('noise', [0.0005, 0.002])
+@pytest.mark.parametrize('power', [1.5, 2.0])
+@pytest.mark.parametrize('range_sensor', [{'late': 0.5}, {'bias': -5e-4}])
+def test_a_force_that_grows_is_no_jump_of_the_zero(range_sensor, power, noise) -> None:
+    """Beside a range sensor that sees the touch late: further on there is by much more force."""
+    for seed in range(3):
+        grows = Slow(power=power, force_noise=noise, seed=seed, **range_sensor)
+        assert grows.off(seen=True) == grows.off(seen=False)
+
+
+@pytest.mark.parametrize('blind', [2.2e-4, 3e-4])
+@pytest.mark.parametrize('power', [1.0, 2.0])
+def test_a_force_that_is_held_after_the_touch_is_no_jump_of_the_zero(power, blind) -> None:
+    """A preload, of which the range sensor sees nothing."""
+    t = np.arange(0.0, 16.0, 0.004)
+    way = np.interp(t, [0.0, 1.0, 4.2, 6.2, 12.0, 16.0], [-3.0, -3.0, 0.2, 0.2, 6.0, 6.0])
+    way *= 1e-3
+    force = 100.0 * (np.maximum(way, 0.0) / 6e-3) ** power
+    noise = np.random.default_rng(5).standard_normal(t.size)
+    seen = np.maximum(way - blind, 0.0)[::4] + 2e-5 * noise[::4]
+    tool = Signal(t, 0.05 - way)
+    found = segment(Signal(t, force + 0.01 * noise), tool, Signal(t[::4], seen))
+    assert found.contact_height == pytest.approx(0.05, abs=6e-5)
+    assert found.force_zero == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -100,6 +100,8 @@ _DURATIONS: Final = 17
 _FINEST: Final = 2e-5
 _ROUGH: Final = 1e-3
 """Part of the longest to which that is told; the latter where what it leaves is wanted more."""
+_LOOKS: Final = 100
+"""At most so often more finely."""
 _GOLDEN: Final = 0.5 * (3.0 - math.sqrt(5.0))
 """Part of a bracket at which one more look narrows it the same way again."""
 _LAGS: Final = 7
@@ -626,9 +628,9 @@ def _best_duration(  # type: ignore[no-untyped-def]
     second = third = best
     next_least = last_least = least
     step = before = 0.0
-    while least > 0.0:
+    for _ in range(_LOOKS):
         middle = 0.5 * (low + high)
-        if abs(best - middle) + 0.5 * (high - low) <= 2.0 * finest:
+        if least <= 0.0 or abs(best - middle) + 0.5 * (high - low) <= 2.0 * finest:
             break
         golden = True
         if abs(before) > finest:

@@ -258,7 +258,7 @@ _CRITICAL: Final = 0.25
 _SWING_SEARCHES: Final = 4
 """Times that the search for a change of speed that swings is begun anew at most."""
 _LOOKED_AT: Final = 64
-"""Samples, or up to twice as many, of a change of speed that are looked at first."""
+"""Samples, or up to half as many more, of a change of speed that are looked at first."""
 _HOPELESS: Final = 10.0
 """What they leave then, over what is enough, from which on no shape follows it."""
 _FEW_SEEN: Final = 8.0

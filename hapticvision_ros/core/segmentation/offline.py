@@ -54,6 +54,10 @@ _UNMOVED = 3.0
 """Standard errors within which two levels are the same."""
 _TOUCHED = 3.0
 """Rise of the force in contact over a jump of the zero before it, at least."""
+_CLEAR_JUMP = 12.0
+"""Standard errors of such a jump, at least: a force that rises evenly would be seen to."""
+_EVEN = 0.7
+"""Least speed over the greatest of a tool that goes on as before."""
 _OF_MEDIAN = 1.2533
 """Standard error of a median over that of a mean, in normal noise."""
 _STRAIGHT = 2.0
@@ -330,10 +334,12 @@ def _turned(record: _Record, options: SegmentationOptions) -> str | None:
     begun = push[depth[: push.size] < 1.0 - _DEEP]
     fallen = 0.0
     if begun.size >= _FEWEST:
-        # A glitch is a few samples.
         zero = median_level(begun)
-        fallen = zero - float(np.sort(push)[_FEWEST - 1])
-        turned = turned or fallen > max(least, _CLEARLY * (float(record.f.max()) - zero))
+        fallen = zero - median_level(push[-_FEWEST:])
+        # What goes on to fall, or stays, is a zero that wanders.
+        relaxes = zero - median_level(deep) < 0.5 * fallen
+        risen = float(record.f.max()) - zero
+        turned = turned or (relaxes and fallen > max(least, _CLEARLY * risen))
     if turned:
         return (
             f'the force falls by {max(-pressed, fallen):.3g} N as the tool goes down: it is to be '
@@ -490,7 +496,8 @@ def _seen_by_height(
         agrees = abs(risen) < _UNMOVED * error_risen
         if not agrees:
             beside = slice(end, last + size)
-            agrees = jumped = _only_jumps(record.f[beside], size, risen, error_risen)
+            way = np.interp(record.tf[beside], record.tx, record.x)
+            agrees = jumped = _only_jumps(record.f[beside], way, size, risen, error_risen)
     if not agrees:
         return contact
     quiet = slice(end if jumped else 0, int(np.searchsorted(record.tf, t_touch)))
@@ -504,18 +511,25 @@ def _seen_by_height(
     )
 
 
-def _only_jumps(force: FloatArray, size: int, risen: float, error: float) -> bool:
+def _only_jumps(force: FloatArray, way: FloatArray, size: int, risen: float, error: float) -> bool:
     """
     Return whether a force that has risen is that of a load cell whose zero has jumped.
 
-    It stays where it is for `size` samples, in which a push goes on, and rises by much more after
-    them, where the object begins to move.
+    It stays where it is for `size` samples, in which the tool goes on at one speed, and rises by
+    much more after them, where the object begins to move.
     """
     before, after = force[:size], force[size:]
+    if after.size < size or abs(risen) < _CLEAR_JUMP * error:
+        return False
+    ways = way[size // 2] - way[0], way[size] - way[size // 2], way[-1] - way[size]
+    speeds = np.array(ways) / np.array([size // 2, size - size // 2, size - 1])
+    # Held after a first touch, a force stays as well.
+    if speeds.min() < _EVEN * speeds.max():
+        return False
     earlier, later = np.array_split(before, 2)
     goes_on = abs(float(later.mean() - earlier.mean()))
     # Halves have a root of two more of the error each, and both have theirs.
-    if after.size < size or goes_on > _UNMOVED * 2.0 * error:
+    if goes_on > _UNMOVED * 2.0 * error:
         return False
     return float(after.mean() - later.mean()) > _TOUCHED * abs(risen)
 
