@@ -22,7 +22,6 @@ J. A. Nelder and R. Mead, Comput. J. 7, 1965, 308-313, doi:10.1093/comjnl/7.4.30
 """
 
 from collections.abc import Callable
-import math
 
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
@@ -71,16 +70,13 @@ def minimum(
     scored = [scored_at(start), *(scored_at(start + step) for step in np.diag(sizes))]
     for turn in range(turns):
         scored.sort()
-        # Among points all of which are out of bounds nothing leads anywhere.
-        if not math.isfinite(scored[0][0]):
-            break
         if hopeful is not None and not hopeful(turn, scored[0][0]):
             break
-        corner = np.array([point for _, point in scored])
+        corner = [np.array(point) for _, point in scored]
         spread = max(float(np.abs(corner[-1] - corner[0]).max()), 0.0)
         if scored[-1][0] - scored[0][0] < enough or spread < near:
             break
-        middle = corner[:-1].sum(axis=0) / start.size
+        middle = np.mean(corner[:-1], axis=0)
         away = middle - corner[-1]
 
         reflected = scored_at(middle + away)
