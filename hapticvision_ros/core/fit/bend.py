@@ -96,16 +96,17 @@ _TELLING: Final = 1e-3
 _POLISHED: Final = 30
 """Looks at clean changes of speed at most."""
 _DURATIONS: Final = 17
-_ZOOMS: Final = 5
-_ROUGH_ZOOMS: Final = 3
-"""
-How long an acceleration lasts is looked for at so many places, and so often more finely.
-
-For what it leaves, fewer rounds will do.
-"""
-_LAGS: Final = 8
-_LAG_ZOOMS: Final = 3
-"""The same of a lag."""
+"""How long an acceleration lasts is looked for at so many places first."""
+_FINEST: Final = 2e-5
+_ROUGH: Final = 1e-3
+"""Part of the longest to which that is told; the latter where what it leaves is wanted more."""
+_LOOKS: Final = 100
+"""At most so often more finely."""
+_GOLDEN: Final = 0.5 * (3.0 - math.sqrt(5.0))
+"""Part of a bracket at which one more look narrows it the same way again."""
+_LAGS: Final = 7
+_HALVINGS: Final = 4
+"""A lag is looked for at so many places first, odd, and so often at half the distance."""
 _BRIEF: Final = 0.05
 """Of a lag, below which how long an acceleration lasts makes no difference."""
 _RESTING: Final = 0.1
@@ -268,7 +269,10 @@ def _fading(since, lag, swing, value, slope):  # type: ignore[no-untyped-def]
     decay = -0.5 / (swing * lag)
     spread = 4.0 * swing - 1.0
     if abs(spread) < _CRITICAL:
-        spread = math.copysign(_CRITICAL, spread)
+        # Of sine and cosine, or their hyperbolic fellows, no more is left.
+        square = spread * (decay * since) ** 2
+        turned = (slope - decay * value) * since * (1.0 - square / 6.0)
+        return math.exp(decay * since) * (value * (1.0 - 0.5 * square) + turned)
     if spread > 0.0:
         rate = -decay * math.sqrt(spread)
         turned = (slope - decay * value) / rate * math.sin(rate * since)
@@ -282,7 +286,11 @@ def _fading(since, lag, swing, value, slope):  # type: ignore[no-untyped-def]
 
 @kernel(error_model='numpy')
 def _behind(since, lag, swing, order):  # type: ignore[no-untyped-def]
-    """Return by how much a servo lags behind an even acceleration, or the integral of that."""
+    """Return by how much a servo lags behind an even acceleration: its speed, way, or integral."""
+    if order == 0:
+        if swing > _STIFF:
+            return lag - _fading(since, lag, swing, lag, -1.0)
+        return -lag * np.expm1(-since / lag)
     if order == 1:
         if swing > _STIFF:
             ahead = lag * lag * (1.0 - swing)
@@ -299,52 +307,78 @@ def _behind(since, lag, swing, order):  # type: ignore[no-untyped-def]
 # Inlined where it is short only: a kernel of nothing but inlined ones takes a minute to compile.
 @kernel(error_model='numpy', inline='always')
 def _travel(since, lag, swing, order):  # type: ignore[no-untyped-def]
-    """Return the travel of a tool that is accelerated evenly for a time, or its integral."""
+    """Return the speed of a tool that is accelerated evenly for a time, its way, or integral."""
     if since <= 0.0:
         return 0.0
-    way = 0.5 * since * since if order == 1 else since * since * since / 6.0
+    way = since
+    if order > 0:
+        way = 0.5 * since * since if order == 1 else since * since * since / 6.0
     if lag > 0.0:
         way -= _behind(since, lag, swing, order)
     return way
 
 
 @kernel(error_model='numpy')
-def _gone(at, duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
-    """Return the way of a tool whose speed changes by one, from when half of it has come on."""
-    half = 0.5 * duration
-    soft = 0.5 * jerk
-    if at <= -half - soft:
-        return 0.0
-    if lag <= 0.0 and at >= half + soft:
-        return at
+def _left_at_end(duration, jerk, lag, swing):  # type: ignore[no-untyped-def]
+    """Return what a servo has still to go when the command is at its end, and its speed."""
+    if lag <= 0.0:
+        return 0.0, 0.0
     if jerk <= _SOFT * duration or duration < _BRIEFEST:
-        way = _travel(at + half, lag, swing, 1) - _travel(at - half, lag, swing, 1)
-        way /= duration
-    else:
-        way = _travel(at + half + soft, lag, swing, 2) - _travel(at + half - soft, lag, swing, 2)
-        way -= _travel(at - half + soft, lag, swing, 2) - _travel(at - half - soft, lag, swing, 2)
-        way /= duration * jerk
-    return way
+        way = _travel(duration, lag, swing, 1) / duration
+        return way - 0.5 * duration + lag, _travel(duration, lag, swing, 0) / duration - 1.0
+    way = speed = 0.0
+    for since, sign in ((duration + jerk, 1.0), (duration, -1.0), (jerk, -1.0)):
+        way += sign * _travel(since, lag, swing, 2)
+        speed += sign * _travel(since, lag, swing, 1)
+    way /= duration * jerk
+    return way - 0.5 * (duration + jerk) + lag, speed / (duration * jerk) - 1.0
 
 
 @kernel(error_model='numpy')
-def _beyond(away, duration, jerk, lag, swing, part, wait):  # type: ignore[no-untyped-def]
+def _gone(at, duration, jerk, lag, swing, left, speed):  # type: ignore[no-untyped-def]
+    """Return the way of a tool whose speed changes by one, from when half of it has come on."""
+    half = 0.5 * duration
+    soft = 0.5 * jerk
+    at_once = jerk <= _SOFT * duration or duration < _BRIEFEST
+    end = half if at_once else half + soft
+    if at <= -end:
+        return 0.0
+    if at >= end:
+        # A servo that is left to itself takes one exponential, not one for each part of a command.
+        if lag <= 0.0:
+            return at
+        if swing <= _STIFF:
+            return at - lag + left * np.exp((end - at) / lag)
+        return at - lag + _fading(at - end, lag, swing, left, speed)
+    if at_once:
+        return _travel(at + half, lag, swing, 1) / duration
+    way = _travel(at + half + soft, lag, swing, 2) - _travel(at + half - soft, lag, swing, 2)
+    way -= _travel(at - half + soft, lag, swing, 2)
+    return way / (duration * jerk)
+
+
+@kernel(error_model='numpy')
+def _beyond(  # type: ignore[no-untyped-def]
+    away, duration, jerk, lag, swing, part, wait, left, speed
+):
     """Return by how much a corner is passed, over the change of speed."""
     at = away + lag
     if part > 0.0:
         apart = duration + jerk + wait
-        way = part * _gone(at + (1.0 - part) * apart, duration, jerk, lag, swing)
-        way += (1.0 - part) * _gone(at - part * apart, duration, jerk, lag, swing)
+        stop, start = at + (1.0 - part) * apart, at - part * apart
+        way = part * _gone(stop, duration, jerk, lag, swing, left, speed)
+        way += (1.0 - part) * _gone(start, duration, jerk, lag, swing, left, speed)
     else:
-        way = _gone(at, duration, jerk, lag, swing)
+        way = _gone(at, duration, jerk, lag, swing, left, speed)
     return way - max(away, 0.0)
 
 
 @kernel(error_model='numpy')
 def _rounded(away, how, beyond):  # type: ignore[no-untyped-def]
     duration, jerk, lag, swing, part, wait = how
+    left, speed = _left_at_end(duration, jerk, lag, swing)
     for i in range(away.size):
-        beyond[i] = _beyond(away[i], duration, jerk, lag, swing, part, wait)
+        beyond[i] = _beyond(away[i], duration, jerk, lag, swing, part, wait, left, speed)
 
 
 def rounded(away: FloatArray, shape: Shape) -> FloatArray:
@@ -468,7 +502,7 @@ class Corner(NamedTuple):
         known = self.t, self.value, self._lines, self.rest, self.coarse, shift, longest, soft
         worth = SHOWN * self.noise**2
         left, duration, late = _best(
-            *known, -1.0 if lag is None else lag, _ROUGH_ZOOMS if roughly else _ZOOMS, worth
+            *known, -1.0 if lag is None else lag, longest * (_ROUGH if roughly else _FINEST), worth
         )
         return Shape(duration, soft * duration, late), left
 
@@ -536,6 +570,7 @@ def _missed(t, value, lines, rest, coarse, shift, how, most):  # type: ignore[no
     """Return the squares that a shape leaves where the tool rests at a shift, up to the most."""
     level, slope, next_level, next_slope = lines
     duration, jerk, lag, swing, part, wait = how
+    to_go, speed = _left_at_end(duration, jerk, lag, swing)
     turn = next_slope - slope
     if rest == 0:
         level += shift
@@ -547,7 +582,9 @@ def _missed(t, value, lines, rest, coarse, shift, how, most):  # type: ignore[no
         before = t[i] < meeting
         line = level + slope * t[i] if before else next_level + next_slope * t[i]
         miss = value[i] - line
-        left = miss - turn * _beyond(t[i] - meeting, duration, jerk, lag, swing, part, wait)
+        away = t[i] - meeting
+        left = miss
+        left -= turn * _beyond(away, duration, jerk, lag, swing, part, wait, to_go, speed)
         if rest >= 0 and before == (rest == 0) and abs(miss) <= ROUNDED * coarse:
             left = max(abs(left) - coarse, 0.0)
         total += left * left
@@ -569,64 +606,102 @@ def _left_by(t, value, lines, rest, coarse, shift, how):  # type: ignore[no-unty
 
 @kernel(error_model='numpy')
 def _best_duration(  # type: ignore[no-untyped-def]
-    t, value, lines, rest, coarse, shift, longest, soft, lag, zooms
+    t, value, lines, rest, coarse, shift, longest, soft, lag, finest
 ):
     """Return what an acceleration leaves that lasts as long as is best, and how long that is."""
     shortest = max(_BRIEF * lag, 1e-9)
-    low = 0.0
-    high = longest
+    width = longest / (_DURATIONS - 1)
+    least = np.inf
     best = 0.0
-    for _ in range(zooms):
-        width = (high - low) / (_DURATIONS - 1)
-        least = np.inf
-        at = 0
-        for k in range(_DURATIONS):
-            # The one in the middle is often the best, beside which the others are seen soon.
-            j = (k + _DURATIONS // 2) % _DURATIONS
-            lasts = max(low + j * width, shortest)
-            how = lasts, soft * lasts, lag, 0.0, 0.0, 0.0
-            left = _missed(t, value, lines, rest, coarse, shift, how, least)
-            if left < least or (left == least and j < at):
-                least = left
-                at = j
-        best = low + at * width
-        low = max(best - width, 0.0)
-        high = best + width
-    best = max(best, _BRIEF * lag)
-    lasts = max(best, 1e-9)
-    how = lasts, soft * lasts, lag, 0.0, 0.0, 0.0
-    return _missed(t, value, lines, rest, coarse, shift, how, np.inf), best
+    for k in range(_DURATIONS):
+        # The one in the middle is often the best, beside which the others are seen soon.
+        lasts = ((k + _DURATIONS // 2) % _DURATIONS) * width
+        how = max(lasts, shortest), soft * max(lasts, shortest), lag, 0.0, 0.0, 0.0
+        left = _missed(t, value, lines, rest, coarse, shift, how, least)
+        # The shortest of those that leave as much.
+        if left < least or (left == least and lasts < best):
+            least = left
+            best = lasts
+    # Brent's search in a bracket: by parabolas, or the golden section where these lead nowhere.
+    low = max(best - width, 0.0)
+    high = best + width
+    second = third = best
+    next_least = last_least = least
+    step = before = 0.0
+    for _ in range(_LOOKS):
+        middle = 0.5 * (low + high)
+        if least <= 0.0 or abs(best - middle) + 0.5 * (high - low) <= 2.0 * finest:
+            break
+        golden = True
+        if abs(before) > finest:
+            r = (best - second) * (least - last_least)
+            q = (best - third) * (least - next_least)
+            p = (best - third) * q - (best - second) * r
+            q = 2.0 * (q - r)
+            if q > 0.0:
+                p = -p
+            q = abs(q)
+            if abs(p) < abs(0.5 * q * before) and q * (low - best) < p < q * (high - best):
+                before = step
+                step = p / q
+                golden = False
+                if min(best + step - low, high - best - step) < 2.0 * finest:
+                    step = math.copysign(finest, middle - best)
+        if golden:
+            before = (low if best >= middle else high) - best
+            step = _GOLDEN * before
+        lasts = best + (step if abs(step) >= finest else math.copysign(finest, step))
+        how = max(lasts, shortest), soft * max(lasts, shortest), lag, 0.0, 0.0, 0.0
+        left = _missed(t, value, lines, rest, coarse, shift, how, np.inf)
+        if left <= least:
+            if lasts >= best:
+                low = best
+            else:
+                high = best
+            third, last_least = second, next_least
+            second, next_least = best, least
+            best, least = lasts, left
+            continue
+        if lasts < best:
+            low = lasts
+        else:
+            high = lasts
+        if left <= next_least or second == best:
+            third, last_least = second, next_least
+            second, next_least = lasts, left
+        elif left <= last_least or third in (best, second):
+            third, last_least = lasts, left
+    return least, max(best, _BRIEF * lag)
 
 
 @kernel(error_model='numpy')
 def _best(  # type: ignore[no-untyped-def]
-    t, value, lines, rest, coarse, shift, longest, soft, lag, zooms, worth
+    t, value, lines, rest, coarse, shift, longest, soft, lag, finest, worth
 ):
     """Return what the best acceleration leaves, how long it lasts, and its lag if that is seen."""
     given = max(lag, 0.0)
     left, duration = _best_duration(
-        t, value, lines, rest, coarse, shift, longest, soft, given, zooms
+        t, value, lines, rest, coarse, shift, longest, soft, given, finest
     )
     if lag >= 0.0:
         return left, duration, lag
-    low = 0.0
-    high = 0.25 * longest
     least = left
     lasts = duration
     late = 0.0
-    for _ in range(_LAG_ZOOMS):
-        width = (high - low) / (_LAGS - 1)
-        for k in range(1, _LAGS):
-            each = low + k * width
-            other, its = _best_duration(
-                t, value, lines, rest, coarse, shift, longest, soft, each, zooms
-            )
-            if other < least:
-                least = other
-                lasts = its
-                late = each
-        low = max(late - width, 0.0)
-        high = late + width
+    width = 0.25 * longest / _LAGS
+    middle = 0.5 * (_LAGS + 1) * width
+    reach = _LAGS // 2
+    for _ in range(1 + _HALVINGS):
+        for k in range(-reach, reach + 1):
+            each = middle + k * width
+            if each > 0.0 and each != late:
+                other, its = _best_duration(
+                    t, value, lines, rest, coarse, shift, longest, soft, each, finest
+                )
+                if other < least:
+                    least, lasts, late = other, its, each
+        # Beside the best, on both sides.
+        middle, width, reach = late, 0.5 * width, 1
     if least < left - worth:
         return least, lasts, late
     return left, duration, 0.0
@@ -910,12 +985,14 @@ def _left(
     x: FloatArray,
 ) -> float:
     """Return minus twice the log likelihood of a servo, beside that of each corner by itself."""
-    servo = _servo(x, kind)
-    shapes = [servo.at(corner) for corner, _ in corners]
     negative = x < 0.0
     # How long it takes is a logarithm, but not of one that waits.
     negative[0] = negative[0] and kind.waits
-    if negative.any() or max(sum(shape[:3]) for shape in shapes) > longest:
+    if negative.any():
+        return math.inf
+    servo = _servo(x, kind)
+    shapes = [servo.at(corner) for corner, _ in corners]
+    if max(sum(shape[:3]) for shape in shapes) > longest:
         return math.inf
     # A tool that has not come to rest before it turns again, or a hand on it, is no other arm.
     return sum(
@@ -1086,9 +1163,8 @@ def _alike(
         begun.append((kind._replace(prompt=True), True, np.array([0.0, 0.5])))
         for which, at_all, start in begun:
             sought = [(corner, math.inf) for corner in corners] if at_all else each
-            _, best = minimum(
-                partial(_left, sought, which, longest), start, _SEARCHED[: start.size]
-            )
+            cost = partial(_left, sought, which, longest)
+            _, best = minimum(cost, start, _SEARCHED[: start.size], hopeful=_within_bounds)
             left = _left(each, which, longest, best)
             found.append((left + start.size * worth, left, best, which))
     first: dict[_Kind, tuple[float, float, FloatArray]] = {}
@@ -1110,6 +1186,11 @@ def _alike(
     return (alone, None) if worst > alone else (worst, _servo(x, kind))
 
 
+def _within_bounds(_: int, least: float) -> bool:
+    """Return whether a search goes on: among servos all out of bounds nothing leads anywhere."""
+    return math.isfinite(least)
+
+
 def _closest(
     each: Sequence[tuple[Corner, float]],
     kind: _Kind,
@@ -1123,8 +1204,10 @@ def _closest(
     for _ in range(_MORE_SEARCHES):
         # Clear changes of speed tell much more than the first search asks for: two points may be
         # near and one of them by far the better.
-        closer, point = minimum(cost, x, _SEARCHED[: x.size], near=0.0, turns=_MORE_TURNS)
-        if left - closer < 1.0:
+        closer, point = minimum(
+            cost, x, _SEARCHED[: x.size], near=0.0, turns=_MORE_TURNS, hopeful=_within_bounds
+        )
+        if not math.isfinite(closer) or left - closer < 1.0:
             break
         worst, left, x = worst - left + closer, closer, point
     return worst, left, x

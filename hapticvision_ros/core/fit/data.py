@@ -257,6 +257,10 @@ _CRITICAL: Final = 0.25
 """Swing of a servo that is critically damped."""
 _SWING_SEARCHES: Final = 4
 """Times that the search for a change of speed that swings is begun anew at most."""
+_LOOKED_AT: Final = 64
+"""Samples, or up to half as many more, of a change of speed that are looked at first."""
+_HOPELESS: Final = 10.0
+"""What they leave then, over what is enough, from which on no shape follows it."""
 _FEW_SEEN: Final = 8.0
 """Samples of the encoders in a change of speed from which on they show how it goes."""
 _FEW_CLEAN: Final = 4.0
@@ -2078,11 +2082,9 @@ def _closely(
     """Return a path that follows the samples; None where it takes too many corners."""
     if noise <= 0.0 or t.size < 16:
         return *_thinned(*_curved(t, value)), []
-    breaks = sorted({b for b in events if t[1] < b < t[-2]})
+    breaks = tuple(sorted({b for b in events if t[1] < b < t[-2]}))
     most = _MOST_PIECES * _ways(value)
-    pieces = _pieces(t, value, breaks, noise, _UNBENT * most)
-    knots, levels = _levels(t, value, _meet(t, value, pieces, noise))
-    knots, levels = _followed(t, value, knots, levels, noise, most)
+    knots, levels = _by_pieces(t.tobytes(), value.tobytes(), breaks, noise, most)
     coarse = ROUNDED * math.sqrt(3.0) * rounding(value)
     found = None
     if knots.size <= most or (knots.size <= _UNBENT * most and _goes_by_ramps(knots, levels)):
@@ -2095,6 +2097,21 @@ def _closely(
         if other is not None and (found is None or _timed(other) >= _timed(found)):
             return other
     return found
+
+
+@lru_cache(maxsize=64)
+def _by_pieces(
+    t: bytes, value: bytes, breaks: tuple[float, ...], noise: float, most: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of straight pieces that follow samples, and the levels there."""
+    # A campaign's paths are made many times, for arms that change their speed otherwise.
+    times, heights = np.frombuffer(t).copy(), np.frombuffer(value).copy()
+    pieces = _pieces(times, heights, breaks, noise, _UNBENT * most)
+    knots, levels = _levels(times, heights, _meet(times, heights, pieces, noise))
+    knots, levels = _followed(times, heights, knots, levels, noise, most)
+    for each in (knots, levels):
+        each.flags.writeable = False
+    return knots, levels
 
 
 def _goes_by_ramps(knots: FloatArray, levels: FloatArray) -> bool:
@@ -2543,11 +2560,28 @@ def _known_shape(
 ) -> tuple[Shape, float]:
     """Return what `_shape_of` does of a corner's bytes and its further fields."""
     corner = Corner(np.frombuffer(t).copy(), np.frombuffer(value).copy(), *others)
+    step = float(np.median(np.diff(corner.t))) if corner.t.size > 1 else math.inf
+    if corner.t.size > 2 * _LOOKED_AT:
+        # A few samples tell that no shape comes near them, which takes the longest to find out.
+        every = corner.t.size // _LOOKED_AT
+        few = corner._replace(t=corner.t[::every], value=corner.value[::every])
+        part = few.t.size / corner.t.size
+        shape, shift = _own_shape(few, longest, part * enough, step)
+        slow = shape.duration + shape.lag >= _FEW_SEEN * step
+        if slow and few.left(shape, shift) > _HOPELESS * part * enough:
+            return shape, shift
+    return _own_shape(corner, longest, enough, step)
+
+
+def _own_shape(corner: Corner, longest: float, enough: float, step: float) -> tuple[Shape, float]:
+    """Return what `_shape_of` does of a corner of encoders with a step between readings [s]."""
     found: list[tuple[float, Shape, float]] = []
     for soft in _SOFT:
         shape, left = corner._replace(rest=-1).best(0.0, longest, soft)
         shift = 0.0
-        if corner.rest >= 0:
+        # Far from a shape it does not matter where within a step the tool rests.
+        reach = math.sqrt(enough / corner.t.size) + 2.0 * corner.coarse
+        if corner.rest >= 0 and left < reach**2 * corner.t.size:
             # How the tool comes to where it rests tells where that is, within a step.
             squares = [
                 corner.best(each, longest, soft, shape.lag, roughly=True)[1]
@@ -2591,7 +2625,7 @@ def _known_shape(
             if again >= closest:
                 break
             closest, other = again, found_again
-        seen = other.takes / float(np.median(np.diff(corner.t)))
+        seen = other.takes / step
         if seen > _FEW_SEEN or (corner.is_clean and seen > _FEW_CLEAN and closest < 0.25 * left):
             shape = other
     return shape, shift

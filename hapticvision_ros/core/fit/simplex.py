@@ -72,11 +72,11 @@ def minimum(
         scored.sort()
         if hopeful is not None and not hopeful(turn, scored[0][0]):
             break
-        corner = [np.array(point) for _, point in scored]
+        corner = np.array([point for _, point in scored])
         spread = max(float(np.abs(corner[-1] - corner[0]).max()), 0.0)
         if scored[-1][0] - scored[0][0] < enough or spread < near:
             break
-        middle = np.mean(corner[:-1], axis=0)
+        middle = corner[:-1].sum(axis=0) / start.size
         away = middle - corner[-1]
 
         reflected = scored_at(middle + away)

@@ -424,7 +424,7 @@ def test_the_forces_tell_how_the_arm_goes_beside_a_model(smoothed: Any) -> None:
     )
     arm, corners = arm_of(made)
     assert arm is not None
-    slower = replace(arm, duration=1.08 * arm.duration)
+    slower = replace(arm, duration=1.04 * arm.duration)
     (prepared, bench, base), (_, _, known) = (_beside(made, servo) for servo in (slower, arm))
     measured = made, prepared, corners
     way = search._best_way(bench, base, slower, measured, search._SHARPER, search._SHARPER)

@@ -106,6 +106,15 @@ def test_a_corner_is_passed_as_filters_in_a_row_pass_it(shape: Shape) -> None:
     assert rounded(away, shape) == pytest.approx(way, abs=3e-5)
 
 
+@pytest.mark.parametrize('jerk', [0.0, 0.01])
+def test_a_critically_damped_servo_is_between_those_that_are_hardly_otherwise(jerk: float) -> None:
+    away = np.linspace(-0.2, 0.6, 801)
+    less, critical, more = (
+        rounded(away, Shape(0.03, jerk, 0.1, 0.25 + step)) for step in (-1e-4, 0.0, 1e-4)
+    )
+    assert critical == pytest.approx(0.5 * (less + more), abs=1e-9)
+
+
 def _campaign(
     shapes: list[Shape],
     step: float,
