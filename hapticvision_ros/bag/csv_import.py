@@ -50,6 +50,9 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 """What a column can hold, and the units that each may have."""
 NEEDED: Final = ('time', 'force', 'displacement')
+SIGNED: Final = ('force', 'displacement', 'tool_displacement')
+MINUS: Final = '-'
+"""Before a unit: the column counts the other way, as where a machine counts tension."""
 DELIMITERS: Final = ',;\t|'
 COMMENT_MARKS: Final = ('#', '%', '//')
 MAX_PREAMBLE_LINES: Final = 200
@@ -102,7 +105,7 @@ class Column:
     header : str
         The column's name in the file.
     unit : str
-        A unit of the quantity.
+        A unit of the quantity; with a minus before it where the column counts the other way.
 
     """
 
@@ -112,18 +115,22 @@ class Column:
 
     @property
     def scale(self) -> float:
-        """Return the SI value of one unit."""
-        return UNITS[self.quantity][self.unit]
+        """Return the SI value of one unit, negative where the column counts the other way."""
+        size = UNITS[self.quantity][self.unit.removeprefix(MINUS)]
+        return -size if self.unit.startswith(MINUS) else size
 
     @classmethod
     def parse(cls, text: str) -> 'Column':
         """
         Read a choice made on the command line, ``QUANTITY=HEADER:UNIT``.
 
+        A minus before the unit turns the sign of what has one.
+
         Raises
         ------
         UsageError
-            If the text has another form, or names an unknown quantity or unit.
+            If the text has another form, names an unknown quantity or unit, or turns the sign of
+            what has none.
 
         """
         quantity, equals, rest = text.partition('=')
@@ -134,11 +141,13 @@ class Column:
             )
         if quantity not in UNITS:
             raise UsageError(f"'{text}': there is no quantity '{quantity}'; use {_either(UNITS)}.")
-        unit = _plain_unit(unit)
-        if unit not in UNITS[quantity]:
+        unit = _plain_unit(unit).replace('\u2212', MINUS)
+        if unit.removeprefix(MINUS) not in UNITS[quantity]:
             raise UsageError(
                 f"'{text}': '{unit}' is no unit of {quantity}; use {_either(UNITS[quantity])}."
             )
+        if unit.startswith(MINUS) and quantity not in SIGNED:
+            raise UsageError(f"'{text}': a {quantity} has no sign to turn; leave the minus out.")
         return cls(quantity, header, unit)
 
 

@@ -32,8 +32,10 @@ A column is known by its name with the unit in it:
 time, force and displacement are needed. Other names are mapped, as in
   hapticvision import zwick.csv --out bags --column time=Zeit:s --column 'force=Kraft [N]:N' \\
     --column 'displacement=Weg:mm'
-Force and displacement are positive in compression. The displacement is the object's displacement
-height; without a tool_displacement it is the tool's as well, true while they touch.
+Force and displacement are positive in compression; a minus before the unit turns the sign of a
+column that counts the other way, as in --column 'force=Kraft [N]:-N'. The displacement is the
+object's displacement height; without a tool_displacement it is the tool's as well, true while
+they touch.
 A force_sd goes to the topic /load_cell/force_sd, outside the bag contract.
 """
 

@@ -18,9 +18,11 @@
 import argparse
 from pathlib import Path
 
+from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.cli import import_csv
 from hapticvision_ros.core.errors import UsageError
 from mcap.reader import make_reader
+import numpy as np
 import pytest
 
 GOOD = 'time_s,force_N,displacement_mm\n0,1,1\n1,2,2\n'
@@ -82,6 +84,16 @@ def test_columns_height_and_start_can_be_said(tmp_path: Path) -> None:
     assert '1777629600250000000' in (bag / 'metadata.yaml').read_text()
 
 
+@pytest.mark.parametrize('minus', ['-', '\u2212'])
+def test_a_minus_before_the_unit_turns_the_sign(tmp_path: Path, minus: str) -> None:
+    (tmp_path / 'tension.csv').write_text('time_s,F,displacement_mm\n0,0,0\n1,-1.5,1\n2,-2.5,2\n')
+    turned = ('--column', f'force=F:{minus}mN')
+    assert _import(tmp_path / 'tension.csv', '--out', tmp_path, *turned) == 0
+    trial = read_trial(tmp_path / 'tension')
+    np.testing.assert_allclose(trial.force.value, [0.0, 1.5e-3, 2.5e-3], rtol=1e-12)
+    assert 'force = F [-mN]' in _metadata(tmp_path / 'tension')['columns']
+
+
 @pytest.mark.parametrize(
     ('arguments', 'sentence'),
     [
@@ -90,6 +102,8 @@ def test_columns_height_and_start_can_be_said(tmp_path: Path) -> None:
         (('--height', '40'), '--height is 40 m, which is none: write its unit beside it'),
         (('--start', 'yesterday'), "--start 'yesterday' is no time"),
         (('--column', 'force=a:N', '--column', 'force=b:N'), 'names force 2 times'),
+        (('--column', 'time=time_s:-s'), 'a time has no sign to turn'),
+        (('--column', 'force=force_N:--N'), "'--N' is no unit of force"),
         (('elsewhere/trial.csv',), "2 files would become the bag 'trial'"),
     ],
 )

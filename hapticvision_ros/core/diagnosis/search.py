@@ -881,11 +881,15 @@ class _Search:
         order: Sequence[str],
     ) -> NextTrial | None:
         """Return the push that splits the first set of several, or else sharpens a parameter."""
+        accepted = _named(order)
         for each in rounds:
-            if len(_named(each.alike)) < 2 or each.alike[0] not in order:
+            if not each.alike or each.alike[0] not in order:
+                continue
+            # What was accepted beside it is no rival of it, nor is another law of its own.
+            other = next((n for n in each.alike if without_law(n) not in accepted), None)
+            if other is None:
                 continue
             refits = {one.effect: one.refit for one in each.candidates}
-            other = next(n for n in each.alike if without_law(n) != without_law(each.alike[0]))
             first, second = refits[each.alike[0]], refits[other]
             if first is not None and second is not None:
                 found = suggest(

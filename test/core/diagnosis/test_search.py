@@ -24,7 +24,7 @@ from typing import Any
 from hapticvision_ros.core import pipeline
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import search
-from hapticvision_ros.core.diagnosis.records import Diagnosis, Unexplained
+from hapticvision_ros.core.diagnosis.records import Diagnosis, NextTrial, Unexplained
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.diagnosis.search import (
     _contenders,
@@ -881,6 +881,33 @@ def test_what_was_accepted_is_no_rival_of_another() -> None:
     sets = [('series_spring', 'force_lag', 'yield_force'), ('yield_force',)]
     parted = _parted(sets, ('series_spring', 'yield_force'))
     assert parted == [('series_spring', 'force_lag'), ('yield_force',)]
+
+
+@pytest.mark.parametrize(
+    ('sets', 'told_apart'),
+    [
+        ([('inertia', 'friction:held', 'friction', 'yield_force')], ('inertia', 'yield_force')),
+        # Both are accepted, or are two laws of one.
+        ([('inertia', 'friction', 'friction:held'), ('friction', 'friction:held')], None),
+        # The first of the set was refused.
+        ([('yield_force', 'ageing'), ('friction', 'ageing')], ('friction', 'ageing')),
+    ],
+)
+def test_the_next_push_splits_what_was_accepted_from_its_rivals(
+    sets: Any, told_apart: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def suggested(_: Any, first: Any, second: Any, *__: Any, **___: Any) -> NextTrial:
+        names = (first, second) if second else ('K1',)
+        return NextTrial(1e-3, 1e-3, 10.0, names, 2.0, 'because')
+
+    monkeypatch.setattr(search, 'suggest', suggested)
+    names = {name for each in sets for name in each}
+    candidates = [SimpleNamespace(effect=name, refit=name) for name in names]
+    rounds = [SimpleNamespace(alike=each, candidates=candidates) for each in sets]
+    within: Any = SimpleNamespace(phases=(), limits=None, workers=1)
+    found = search._Search._next(within, within, within, rounds, ('inertia', 'friction'))
+    assert found is not None
+    assert found.separates == (told_apart or ('K1',))
 
 
 def test_what_a_diagnosis_knows_of_the_arm_is_found_once(
