@@ -386,7 +386,8 @@ class ToolPath:
             self._round(t, result)
         for bend in self.bends:
             first, last = np.searchsorted(t, (bend.start, bend.stop))
-            result[first:last] += bend.beyond(t[first:last])
+            if first < last:
+                result[first:last] += bend.beyond(t[first:last])
         return result
 
     def _round(self, t: FloatArray, result: FloatArray) -> None:
@@ -411,7 +412,7 @@ class ToolPath:
         after = gaps[piece] * speed[piece + 1] - ways[piece]
         result[inside] += share * rest * (rest * before - share * after)
 
-    def held(self, t: FloatArray, shift: float) -> FloatArray:
+    def held(self, t: FloatArray, shift: float, at: FloatArray | None = None) -> FloatArray:
         """
         Return the displacement of a tool that is held deeper than it is taken to be.
 
@@ -424,6 +425,8 @@ class ToolPath:
             Times [s], increasing.
         shift : float
             By how much deeper [m].
+        at : ndarray, shape (n,), optional
+            What `at` has returned for these times, where it is known.
 
         Returns
         -------
@@ -431,7 +434,7 @@ class ToolPath:
             Displacements [m].
 
         """
-        result = self.at(t)
+        result = self.at(t) if at is None else at.copy()
         if self.rest is None:
             return result
         stop = int(np.argmin(np.abs(self.t - self.rest.t)))
@@ -709,10 +712,22 @@ class FitTrial:
         split = self.turns
         moved = copy(self)
         moved.__dict__.pop('full_rate', None)
-        moved.__dict__['displacement'] = self.path.held(self.t, shift)
+        displacement = self.path.held(self._finest, shift, self._unmoved)
         if split is not None:
-            moved.__dict__['turns'] = replace(split, displacement=self.path.held(split.t, shift))
+            moved.__dict__['turns'] = replace(split, displacement=displacement)
+            displacement = split.at_ends(displacement)
+        moved.__dict__['displacement'] = displacement
         return moved
+
+    @property
+    def _finest(self) -> FloatArray:
+        """Return the ends of the steps, split or not [s]."""
+        return self.t if self.turns is None else self.turns.t
+
+    @cached_property
+    def _unmoved(self) -> FloatArray:
+        """Return where the tool is then if it is held where it is taken to be [m]."""
+        return self.path.at(self._finest)
 
     @property
     def touch_reach(self) -> float:
