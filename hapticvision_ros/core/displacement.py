@@ -25,9 +25,10 @@ a fit to some thousand of them. Close-ups that show the top of the object alone 
 follow: their heights are taken as they are.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
+from statistics import NormalDist
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
@@ -93,6 +94,22 @@ _FLOOR: Final = 0.5
 _SHALLOWER: Final = 0.01
 _SURELY: Final = 2.5
 """By which part of its depth, and how many standard errors, a rim is above the floor of a dent."""
+_ROUND: Final = (2.0, 1.5, 1.0)
+"""Radii, over that of the patch, within which the form of the dent is looked for."""
+_FEWEST_ROUND: Final = 5
+"""Frames that tell it."""
+_ROUNDEST: Final = 1.5
+_CURVES: Final = 61
+"""Logarithm of what is left of the depth at the rim at most, and curves that are tried."""
+_LEAST_SEEN: Final = 0.8
+"""Part of the depth of a dent that the middle of what is seen has at least."""
+_NORMAL: Final = np.array([[NormalDist().inv_cdf((k + 0.5) / 32)] for k in range(32)])
+"""Quantiles of a normal variable."""
+_RAGGED: Final = 1.5
+"""Spread about the form of a dent, over that about the surface before the push, of one surface."""
+_RINGS: Final = 4
+_FORM_OFF: Final = 3.5
+"""Rings of as many points, and standard errors by which the form may miss one of them."""
 _NEAR_LEVEL: Final = 4e-3
 """How far from the heights around the contact point a touch may be [m]."""
 _DOWN_TO: Final = 0.05
@@ -530,9 +547,12 @@ def displacement_from_clouds(
     if dent is None or view is None:
         return told
     axis = dent.axis(view.axis)
-    radius = dent.floor(view.axis if axis is None else axis, view.settings)
-    if axis is None and radius == view.settings.patch_radius:
+    middle = view.axis if axis is None else axis
+    radius = dent.floor(middle, view.settings)
+    deeper = dent.deeper(middle, radius, view.settings)
+    if axis is None and radius == view.settings.patch_radius and deeper == 1.0:
         return told
+    view = view._replace(deeper=deeper)
     if radius < view.settings.patch_radius:
         view = view._replace(settings=replace(view.settings, patch_radius=radius), floor=radius)
     if axis is not None:
@@ -564,6 +584,7 @@ class _View(NamedTuple):
     place: str
     original: float | None = None
     floor: float | None = None
+    deeper: float = 1.0
 
     def tracker(self) -> DisplacementTracker:
         """Return what follows the surface."""
@@ -586,6 +607,12 @@ class _View(NamedTuple):
             told.append(
                 f'The dent is narrow: the surface was taken within {1e3 * self.floor:.2g} mm of '
                 'the contact point.'
+            )
+        if self.deeper > 1.0:
+            told.append(
+                f'The dent is round: at the contact point it was taken to be '
+                f'{100.0 * (self.deeper - 1.0):.2g} % deeper than the middle of what is seen '
+                'around it.'
             )
         if self.original is not None:
             told.append(
@@ -623,9 +650,13 @@ class _Dent:
         self._with_dent: list[tuple[PointArray, float]] = []
         self._bare: list[tuple[PointArray, float]] = []
         self._left: list[tuple[PointArray, float]] = []
+        self._meanwhile = np.linspace(down[0], down[-1], _FLOOR_FRAMES + 2)[1:-1].tolist()
+        self._pressed: list[tuple[PointArray, float]] = []
 
-    def take(self, frame: CloudFrame, tool: float, tracker: DisplacementTracker) -> None:
-        """Keep a frame if it is one of them."""
+    def take(
+        self, frame: CloudFrame, tool: float, tracker: DisplacementTracker, height: float | None
+    ) -> None:
+        """Keep a frame, with what it has told, if it is one of them."""
         if not np.isfinite(tool):
             return
         kept = []
@@ -641,6 +672,10 @@ class _Dent:
             if self._later and frame.t >= self._later[0]:
                 kept.append((self._left, _FLOOR_POINTS))
                 self._later = [t for t in self._later if t > frame.t]
+            if height is not None and self._meanwhile and frame.t >= self._meanwhile[0]:
+                # Clouds in which there is no tool.
+                kept.append((self._pressed, _FLOOR_POINTS))
+                self._meanwhile = [t for t in self._meanwhile if t > frame.t]
         if kept:
             points = tracker.near(frame.xyz, 2.0 * _ASTRAY)
             for frames, count in kept:
@@ -664,21 +699,11 @@ class _Dent:
         A patch that is wider than the tool reads less than the tool has pressed.
         """
         radius = settings.patch_radius
-        # Higher up is the tool, which is out of the way before the push, and after it for long.
-        before, after = (
-            [(points[points[:, 2] < tool - settings.tool_margin], tool) for points, tool in seen]
-            for seen in (self._bare, self._left)
-        )
-        free = [
-            points
-            for points, tool in after
-            if (middle := _ring(points, axis, 0.0, radius, settings)) is not None
-            and tool > middle + settings.tool_clearance
-        ]
+        seen = self._free(axis, settings)
         while True:
             inside, beside = (0.0, _FLOOR * radius), (_NARROWER * radius, radius)
             steps, depth = [], []
-            for frames in ([points for points, _ in before], free):
+            for frames in seen:
                 rings = [
                     [_ring(points, axis, *edges, settings) for edges in (inside, beside)]
                     for points in frames
@@ -693,6 +718,56 @@ class _Dent:
             if shallower < max(_SURELY * error, _SHALLOWER * (depth[0] - depth[1])):
                 return radius
             radius *= _NARROWER
+
+    def deeper(
+        self, axis: tuple[float, float], radius: float, settings: DisplacementSettings
+    ) -> float:
+        """
+        Return how much deeper a dent is at its axis than the median within a radius reads.
+
+        One where it is not seen to be round: the floor of a flat tool is even.
+        """
+        before, after = self._free(axis, settings)
+        after = [*after, *(points for points, _ in self._pressed)]
+        for wider in _ROUND:
+            near, dent = (
+                [_around(points, axis, wider * radius) for points in frames]
+                for frames in (before, after)
+            )
+            if not near:
+                break
+            # What hides the middle leaves a rim that does not tell it.
+            whole = _WHOLE * float(np.median([len(points) for points in near]))
+            dent = [points for points in dent if len(points) >= whole]
+            found = _roundness(near, dent, settings.least_points)
+            if found is None:
+                continue
+            curved, error, noise = found
+            squares = [np.sum(points[:, :2] ** 2, axis=1) for points in dent]
+            seen = [np.exp(-curved * each[each < radius**2]) for each in squares]
+            # Few points on a grid have a median that goes by their noise.
+            middle = float(
+                np.mean([np.median(each + noise * _NORMAL) for each in seen if each.size])
+            )
+            if curved > _SURELY * error and middle > _LEAST_SEEN:
+                return 1.0 / middle
+        return 1.0
+
+    def _free(
+        self, axis: tuple[float, float], settings: DisplacementSettings
+    ) -> tuple[list[PointArray], list[PointArray]]:
+        """Return what is seen of the surface before the push, and after it without the tool."""
+        # Higher up is the tool, which is out of the way before the push, and after it for long.
+        before, after = (
+            [(points[points[:, 2] < tool - settings.tool_margin], tool) for points, tool in seen]
+            for seen in (self._bare, self._left)
+        )
+        return [points for points, _ in before], [
+            points
+            for points, tool in after
+            if (middle := _ring(points, axis, 0.0, settings.patch_radius, settings)) is not None
+            and tool > middle + settings.tool_clearance
+        ]
 
     def level(self, axis: tuple[float, float]) -> float | None:
         """Return the median height around an axis before the push [m]; None if it is not seen."""
@@ -718,6 +793,78 @@ def _ring(
     heights = points[(away >= inner) & (away < outer), 2]
     heights = heights[np.isfinite(heights)]
     return float(np.median(heights)) if heights.size >= settings.least_points else None
+
+
+def _around(points: PointArray, axis: tuple[float, float], radius: float) -> FloatArray:
+    """Return the points within a distance of an axis, from there; shape (n, 3) [m]."""
+    near = points.astype(np.float64) - [*axis, 0.0]
+    return np.asarray(near[(np.hypot(near[:, 0], near[:, 1]) < radius) & np.isfinite(near[:, 2])])
+
+
+def _roundness(
+    before: Sequence[FloatArray], after: Sequence[FloatArray], least: int
+) -> tuple[float, float, float] | None:
+    """
+    Return the curvature of a dent relative to its depth, and its standard error [1/m^2].
+
+    And the noise of a point over that depth. A dent of a depth of its own in each frame, exp(-c r^2) of which is left at a distance r. None
+    where it has another form, or is not seen.
+    """
+    before, after = ([p for p in frames if len(p) >= least] for frames in (before, after))
+    if min(len(before), len(after)) < _FEWEST_ROUND:
+        return None
+    surface = np.vstack(before)
+    terms = _quadratic(surface)
+    original, *_ = np.linalg.lstsq(terms, surface[:, 2], rcond=None)
+    noise = float(np.std(surface[:, 2] - terms @ original))
+    apart = np.linalg.pinv(terms.T @ terms)
+    frame = np.repeat(np.arange(len(after)), [len(points) for points in after])
+    points = np.vstack(after)
+    missing = _quadratic(points) @ original - points[:, 2]
+    square = points[:, 0] ** 2 + points[:, 1] ** 2
+
+    def depths(curved: float) -> tuple[FloatArray, FloatArray]:
+        left = np.exp(-curved * square)
+        sums = (np.bincount(frame, weights=w) for w in (left * missing, left * left))
+        return left, np.divide(*sums)
+
+    def beside(curved: float) -> float:
+        left, depth = depths(curved)
+        return float(np.sum((missing - depth[frame] * left) ** 2))
+
+    most = _ROUNDEST / float(square.max())
+    curves = np.linspace(0.0, most, _CURVES)
+    squares = [beside(each) for each in curves.tolist()]
+    best = min(max(int(np.argmin(squares)), 1), _CURVES - 2)
+    step = most / (_CURVES - 1)
+    low, middle, high = squares[best - 1 : best + 2]
+    bent = (low + high - 2.0 * middle) / step**2
+    if bent <= 0.0:
+        return None
+    curved = float(curves[best]) + 0.5 * (low - high) / (bent * step)
+    left, depth = depths(curved)
+    usual = float(np.median(depth))
+    rest = missing - depth[frame] * left
+    spread = float(np.std(rest))
+    # Where the rim hides a part of the dent, what is seen is no one surface.
+    if usual < spread or spread > _RAGGED * noise:
+        return None
+    # The form of the surface before the push is told by its noise as well.
+    level = noise**2 * (apart[3, 3] + apart[5, 5] + 2.0 * apart[3, 5]) / (2.0 * usual) ** 2
+    # Another form shows in what is left of rings of as many points.
+    edges = np.unique(np.quantile(square, np.arange(1, _RINGS) / _RINGS, method='lower'))
+    ring = np.searchsorted(edges, square)
+    count = np.bincount(ring)
+    off = np.bincount(ring, weights=rest)[count > 0] / np.sqrt(count[count > 0])
+    if float(np.abs(off).max()) > _FORM_OFF * spread:
+        return None
+    return curved, math.sqrt(2.0 * spread**2 / bent + level), spread / usual
+
+
+def _quadratic(points: FloatArray) -> FloatArray:
+    """Return the terms of a surface that is bent; shape (n, 6)."""
+    x, y = points[:, 0], points[:, 1]
+    return np.column_stack((np.ones(x.size), x, y, x * x, x * y, y * y))
 
 
 def _follow(
@@ -764,7 +911,7 @@ def _follow(
                 continue
         height = tracker.update(frame.xyz, tool)
         if dent is not None:
-            dent.take(frame, tool, tracker)
+            dent.take(frame, tool, tracker, height)
         if height is not None:
             times.append(frame.t)
             heights.append(height)
@@ -790,7 +937,7 @@ def _told(followed: _Followed, tool_height: Signal) -> tuple[Signal | None, tupl
             'The clouds give no displacement height: the surface at the contact point was seen '
             f'free of the tool in {len(followed.times)} of {followed.used} frames.',
         )
-    found = Signal(np.array(followed.times), np.array(followed.heights))
+    found = Signal(np.array(followed.times), view.deeper * np.array(followed.heights))
     if is_elsewhere(found.value, tracker.original_height - np.array(followed.tools)):
         return None, (*warnings, ELSEWHERE)
     if view.close_up:
