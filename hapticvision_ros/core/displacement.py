@@ -28,7 +28,6 @@ follow: their heights are taken as they are.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
-from statistics import NormalDist
 from typing import Final, NamedTuple
 
 from hapticvision_ros.core.errors import InputError
@@ -98,13 +97,11 @@ _ROUND: Final = (2.0, 1.5, 1.0)
 """Radii, over that of the patch, within which the form of the dent is looked for."""
 _FEWEST_ROUND: Final = 5
 """Frames that tell it."""
-_ROUNDEST: Final = 1.5
+_ROUNDEST: Final = 0.4
+_STEEPEST: Final = 1.5
 _CURVES: Final = 61
-"""Logarithm of what is left of the depth at the rim at most, and curves that are tried."""
-_LEAST_SEEN: Final = 0.8
-"""Part of the depth of a dent that the middle of what is seen has at least."""
-_NORMAL: Final = np.array([[NormalDist().inv_cdf((k + 0.5) / 32)] for k in range(32)])
-"""Quantiles of a normal variable."""
+"""Logarithm of what is left of the depth at the rim of a patch at most, at that of what tells it,
+and curves that are tried."""
 _RAGGED: Final = 1.5
 """Spread about the form of a dent, over that about the surface before the push, of one surface."""
 _RINGS: Final = 4
@@ -212,6 +209,9 @@ class DisplacementTracker:
         surface.
     original_height : float, optional
         Height of the surface before the push [m], where no frame shows it.
+    curved : float, default 0
+        Curvature of the dent relative to its depth [1/m^2]: at a distance r from its axis it is
+        less deep by exp(-curved r^2).
 
     """
 
@@ -224,6 +224,7 @@ class DisplacementTracker:
         shift: FloatArray | None = None,
         lowest_tool_height: float = np.inf,
         original_height: float | None = None,
+        curved: float = 0.0,
     ) -> None:
         self._x, self._y = (np.float32(item) for item in contact_axis)
         self._settings = settings
@@ -239,6 +240,7 @@ class DisplacementTracker:
         self._pushed = False
         self._lowest_tool_height = lowest_tool_height
         self._original_height = original_height
+        self._curved = curved
         self._reason = 'no frame has come yet'
 
     @property
@@ -412,6 +414,11 @@ class DisplacementTracker:
             # A comparison drops NaN, but not a return at minus infinity.
             patch = patch[np.isfinite(patch[:, 2])]
             heights: FloatArray = patch[:, 2] - self._level_at(patch)
+        original = self.original_height
+        if self._curved and original is not None:
+            # What each point says of the deepest one.
+            there = np.exp(self._curved * self._distance(patch))
+            heights = original - (original - heights) * there
         return heights
 
     def _bare(self, patch: FloatArray, tool_height: float) -> float | None:
@@ -549,10 +556,10 @@ def displacement_from_clouds(
     axis = dent.axis(view.axis)
     middle = view.axis if axis is None else axis
     radius = dent.floor(middle, view.settings)
-    deeper = dent.deeper(middle, radius, view.settings)
-    if axis is None and radius == view.settings.patch_radius and deeper == 1.0:
+    curved = dent.curved(middle, radius, view.settings)
+    if axis is None and radius == view.settings.patch_radius and not curved:
         return told
-    view = view._replace(deeper=deeper)
+    view = view._replace(curved=curved)
     if radius < view.settings.patch_radius:
         view = view._replace(settings=replace(view.settings, patch_radius=radius), floor=radius)
     if axis is not None:
@@ -584,7 +591,7 @@ class _View(NamedTuple):
     place: str
     original: float | None = None
     floor: float | None = None
-    deeper: float = 1.0
+    curved: float = 0.0
 
     def tracker(self) -> DisplacementTracker:
         """Return what follows the surface."""
@@ -595,6 +602,7 @@ class _View(NamedTuple):
             shift=self.shift,
             lowest_tool_height=self.lowest,
             original_height=self.original,
+            curved=self.curved,
         )
 
     @property
@@ -608,11 +616,12 @@ class _View(NamedTuple):
                 f'The dent is narrow: the surface was taken within {1e3 * self.floor:.2g} mm of '
                 'the contact point.'
             )
-        if self.deeper > 1.0:
+        if self.curved:
+            radius = self.settings.patch_radius
+            less = 100.0 * -math.expm1(-self.curved * radius**2)
             told.append(
-                f'The dent is round: at the contact point it was taken to be '
-                f'{100.0 * (self.deeper - 1.0):.2g} % deeper than the middle of what is seen '
-                'around it.'
+                f'The dent is round: {1e3 * radius:.2g} mm from the contact point it was taken to '
+                f'be {less:.2g} % less deep.'
             )
         if self.original is not None:
             told.append(
@@ -719,13 +728,13 @@ class _Dent:
                 return radius
             radius *= _NARROWER
 
-    def deeper(
+    def curved(
         self, axis: tuple[float, float], radius: float, settings: DisplacementSettings
     ) -> float:
         """
-        Return how much deeper a dent is at its axis than the median within a radius reads.
+        Return the curvature of a dent relative to its depth, for a patch of a radius [1/m^2].
 
-        One where it is not seen to be round: the floor of a flat tool is even.
+        Zero where it is not seen to be round: the floor of a flat tool is even.
         """
         before, after = self._free(axis, settings)
         after = [*after, *(points for points, _ in self._pressed)]
@@ -742,16 +751,10 @@ class _Dent:
             found = _roundness(near, dent, settings.least_points)
             if found is None:
                 continue
-            curved, error, noise = found
-            squares = [np.sum(points[:, :2] ** 2, axis=1) for points in dent]
-            seen = [np.exp(-curved * each[each < radius**2]) for each in squares]
-            # Few points on a grid have a median that goes by their noise.
-            middle = float(
-                np.mean([np.median(each + noise * _NORMAL) for each in seen if each.size])
-            )
-            if curved > _SURELY * error and middle > _LEAST_SEEN:
-                return 1.0 / middle
-        return 1.0
+            curved, error = found
+            if curved > _SURELY * error and curved * radius**2 < _ROUNDEST:
+                return curved
+        return 0.0
 
     def _free(
         self, axis: tuple[float, float], settings: DisplacementSettings
@@ -803,11 +806,11 @@ def _around(points: PointArray, axis: tuple[float, float], radius: float) -> Flo
 
 def _roundness(
     before: Sequence[FloatArray], after: Sequence[FloatArray], least: int
-) -> tuple[float, float, float] | None:
+) -> tuple[float, float] | None:
     """
     Return the curvature of a dent relative to its depth, and its standard error [1/m^2].
 
-    And the noise of a point over that depth. A dent of a depth of its own in each frame, exp(-c r^2) of which is left at a distance r. None
+    A dent of a depth of its own in each frame, exp(-c r^2) of which is left at a distance r. None
     where it has another form, or is not seen.
     """
     before, after = ([p for p in frames if len(p) >= least] for frames in (before, after))
@@ -832,7 +835,7 @@ def _roundness(
         left, depth = depths(curved)
         return float(np.sum((missing - depth[frame] * left) ** 2))
 
-    most = _ROUNDEST / float(square.max())
+    most = _STEEPEST / float(square.max())
     curves = np.linspace(0.0, most, _CURVES)
     squares = [beside(each) for each in curves.tolist()]
     best = min(max(int(np.argmin(squares)), 1), _CURVES - 2)
@@ -858,7 +861,7 @@ def _roundness(
     off = np.bincount(ring, weights=rest)[count > 0] / np.sqrt(count[count > 0])
     if float(np.abs(off).max()) > _FORM_OFF * spread:
         return None
-    return curved, math.sqrt(2.0 * spread**2 / bent + level), spread / usual
+    return curved, math.sqrt(2.0 * spread**2 / bent + level)
 
 
 def _quadratic(points: FloatArray) -> FloatArray:
@@ -937,7 +940,7 @@ def _told(followed: _Followed, tool_height: Signal) -> tuple[Signal | None, tupl
             'The clouds give no displacement height: the surface at the contact point was seen '
             f'free of the tool in {len(followed.times)} of {followed.used} frames.',
         )
-    found = Signal(np.array(followed.times), view.deeper * np.array(followed.heights))
+    found = Signal(np.array(followed.times), np.array(followed.heights))
     if is_elsewhere(found.value, tracker.original_height - np.array(followed.tools)):
         return None, (*warnings, ELSEWHERE)
     if view.close_up:
