@@ -23,11 +23,11 @@ effect declares. The fit works with the vector theta, in which parameters that h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 import math
-from typing import Final
+from typing import Any, cast, Final, NamedTuple
 
 from hapticvision_ros.core.effects import BY_NAME, EVERY_LAW
 from hapticvision_ros.core.effects.declaration import (
@@ -40,7 +40,7 @@ from hapticvision_ros.core.effects.declaration import (
     without_law,
 )
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.models.chain import Chain, respond, Slot
+from hapticvision_ros.core.models.chain import Chain, neutral, respond, Slot
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
@@ -329,10 +329,36 @@ class Model:
         self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
     ) -> tuple[Chain, Chain | None]:
         """Return the chain, and how its numbers change with the values of some rows, if any."""
+        onset = len(self.parameters)
         if all(effect.shape is None for effect in self.declared):
-            slots = self._draft(trial, values.tolist()).real_slots
+            slots = neutral()
+            slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
+            slots[Slot.REFERENCE_DEPTH], slots[Slot.OFFSET] = trial.reference_depth, values[onset]
             return Chain(slots, np.zeros(0), np.zeros(0)), _PLAIN if rows else None
+        # Trials that are alike to all effects have the same chain but for their onsets.
+        asked = values[self._shaping].tobytes(), trial.reference_depth
+        known: _Drafted | None = self.__dict__.get('_drafted')
+        if known is None or known.asked != asked or (rows and known.directions is None):
+            watched = _Watched(trial)
+            known = _Drafted(asked, *self._drafted_for(cast('DrivenTrial', watched), values, rows))
+            if not watched.looked_at:
+                self.__dict__['_drafted'] = known
+        slots = known.chain.slots.copy()
+        slots[Slot.OFFSET] += values[onset]
+        return replace(known.chain, slots=slots), known.directions if rows else None
+
+    @cached_property
+    def _shaping(self) -> list[int]:
+        """Return the parameters that the chain depends on, but for the onset."""
+        return list(self._rows_of_the_chain[:-1])
+
+    def _drafted_for(
+        self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
+    ) -> tuple[Chain, Chain | None]:
+        """Return what `_chains` does, for an onset of zero."""
+        onset = len(self.parameters)
         given = [complex(value) for value in values.tolist()]
+        given[onset] = 0j
         draft = self._draft(trial, given)
         # A unit that is infinitely stiff is none.
         kept = [i for i, (stiffness, _) in enumerate(draft.units) if math.isfinite(stiffness.real)]
@@ -345,7 +371,7 @@ class Model:
         steps = np.ones((len(rows), 1))
         for j, row in enumerate(rows):
             value = given[row]
-            if row == len(self.parameters):
+            if row == onset:
                 # The onset is added to, and nothing is made of it.
                 d_slots[j, Slot.OFFSET] = 1.0
             elif math.isfinite(value.real):
@@ -360,14 +386,40 @@ class Model:
         return chain, Chain(d_slots / steps, *(d_units / steps))
 
 
+class _Watched:
+    """A trial that tells whether an effect has looked at more of it than all trials share."""
+
+    __slots__ = ('_trial', 'looked_at')
+
+    def __init__(self, trial: DrivenTrial) -> None:
+        self._trial = trial
+        self.looked_at = False
+
+    @property
+    def reference_depth(self) -> float:
+        """Return that of the trial."""
+        return self._trial.reference_depth
+
+    def __getattr__(self, name: str) -> Any:
+        self.looked_at = True
+        return getattr(self._trial, name)
+
+
+class _Drafted(NamedTuple):
+    """A chain, its derivatives, and what it was asked for with."""
+
+    asked: tuple[bytes, float]
+    chain: Chain
+    directions: Chain | None
+
+
 _PLAIN: Final = Chain(
     np.eye(len(Slot))[[Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET]], *np.zeros((2, 4, 0))
 )
 """What the parameters of a chain without effects, and the onset, are of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Split:
+class _Split(NamedTuple):
     """A trial in split steps: see `DrivenTrial`."""
 
     t: FloatArray

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.models.three_element import respond, ThreeElement
@@ -178,3 +179,33 @@ def test_damage_before_a_trial_is_that_of_the_deepest_push_at_most(driven: Calla
     assert np.array_equal(deeper, same)
     assert not np.array_equal(same, fresh)
     assert same.max() == pytest.approx(fresh.max(), rel=0.1)
+
+
+@pytest.mark.parametrize('name', ['', *(effect.name for effect in EVERY_LAW)])
+def test_a_trial_is_predicted_alike_whatever_was_predicted_before(
+    driven: Callable, scale: Scale, name: str
+) -> None:
+    """A model keeps the chain that trials share, which trials of some effects do not."""
+    effects = (name,) if name else ()
+    kept = Model(effects)
+    first = driven(0.02)
+    other = replace(
+        first,
+        displacement=0.8 * first.displacement,
+        campaign_time=first.campaign_time + 7200.0,
+        depth_before=0.5 * first.reference_depth,
+    )
+    deeper = replace(first, reference_depth=2.0 * first.reference_depth)
+    theta = kept.first_guess(scale)
+    for parameters in (theta, theta + 0.01):
+        for trial in (first, other, deeper, first):
+            for onset, directions in ((0.0, False), (1e-5, True), (2e-5, True), (1e-5, False)):
+                own = np.zeros(len(kept.trial_names))
+                own[0] = onset
+                asked = trial, parameters, own
+                known = kept.predict(*asked, directions=directions)
+                anew = Model(effects).predict(*asked, directions=directions)
+                for part in ('force', 'height', 'surface', 'd_force', 'd_height'):
+                    assert np.array_equal(
+                        getattr(known, part), getattr(anew, part), equal_nan=True
+                    )
