@@ -197,7 +197,8 @@ def test_a_trial_is_predicted_alike_whatever_was_predicted_before(
     )
     deeper = replace(first, reference_depth=2.0 * first.reference_depth)
     theta = kept.first_guess(scale)
-    for parameters in (theta, theta + 0.01):
+    # Each parameter by itself, then all as they were.
+    for parameters in (*(theta + 0.01 * np.eye(theta.size)), theta):
         for trial in (first, other, deeper, first):
             for onset, directions in ((0.0, False), (1e-5, True), (2e-5, True), (1e-5, False)):
                 own = np.zeros(len(kept.trial_names))
