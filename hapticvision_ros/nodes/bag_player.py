@@ -318,6 +318,8 @@ def _run(arguments: argparse.Namespace) -> int:
         result = player.fit()
         if result.level == DiagnosticStatus.ERROR:
             raise InputError(result.message)
+        # The fitter's own log has told what three elements make of the whole waveform.
+        print("By the paper's method (what three elements lack, hapticvision fit tells):")
         print('\n'.join(result_lines(result)), flush=True)
         return 0
     finally:
