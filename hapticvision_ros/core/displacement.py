@@ -93,7 +93,7 @@ _FLOOR: Final = 0.5
 _SHALLOWER: Final = 0.01
 _SURELY: Final = 2.5
 """By which part of its depth, and how many standard errors, a rim is above the floor of a dent."""
-_ROUND: Final = (2.0, 1.5, 1.0)
+_ROUND: Final = (2.0, 1.5)
 """Radii, over that of the patch, within which the form of the dent is looked for."""
 _FEWEST_ROUND: Final = 5
 """Frames that tell it."""
@@ -748,7 +748,7 @@ class _Dent:
             # What hides the middle leaves a rim that does not tell it.
             whole = _WHOLE * float(np.median([len(points) for points in near]))
             dent = [points for points in dent if len(points) >= whole]
-            found = _roundness(near, dent, settings.least_points)
+            found = _roundness(near, dent, radius, settings.least_points)
             if found is None:
                 continue
             curved, error = found
@@ -805,13 +805,13 @@ def _around(points: PointArray, axis: tuple[float, float], radius: float) -> Flo
 
 
 def _roundness(
-    before: Sequence[FloatArray], after: Sequence[FloatArray], least: int
+    before: Sequence[FloatArray], after: Sequence[FloatArray], radius: float, least: int
 ) -> tuple[float, float] | None:
     """
     Return the curvature of a dent relative to its depth, and its standard error [1/m^2].
 
     A dent of a depth of its own in each frame, exp(-c r^2) of which is left at a distance r. None
-    where it has another form, or is not seen.
+    where it has another form, as one that is even within the radius of a patch, or is not seen.
     """
     before, after = ([p for p in frames if len(p) >= least] for frames in (before, after))
     if min(len(before), len(after)) < _FEWEST_ROUND:
@@ -826,28 +826,32 @@ def _roundness(
     missing = _quadratic(points) @ original - points[:, 2]
     square = points[:, 0] ** 2 + points[:, 1] ** 2
 
-    def depths(curved: float) -> tuple[FloatArray, FloatArray]:
-        left = np.exp(-curved * square)
-        sums = (np.bincount(frame, weights=w) for w in (left * missing, left * left))
-        return left, np.divide(*sums)
+    def fitted(curved: float, of: slice | NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+        """Return the depth in each frame, by some of its points, and what is left of these."""
+        left, there = np.exp(-curved * square[of]), frame[of]
+        sums = [np.bincount(there, weights=w) for w in (left * missing[of], left * left)]
+        depth = sums[0] / np.maximum(sums[1], 1e-9)
+        return depth, missing[of] - depth[there] * left
 
-    def beside(curved: float) -> float:
-        left, depth = depths(curved)
-        return float(np.sum((missing - depth[frame] * left) ** 2))
+    def beside(curved: float, of: slice | NDArray[np.bool_]) -> float:
+        return float(np.sum(fitted(curved, of)[1] ** 2))
 
+    every, inside = slice(None), square < radius**2
     most = _STEEPEST / float(square.max())
     curves = np.linspace(0.0, most, _CURVES)
-    squares = [beside(each) for each in curves.tolist()]
+    squares = [beside(each, every) for each in curves.tolist()]
     best = min(max(int(np.argmin(squares)), 1), _CURVES - 2)
     step = most / (_CURVES - 1)
-    low, middle, high = squares[best - 1 : best + 2]
+    low, middle, high = (squares[k] for k in (best - 1, best, best + 1))
     bent = (low + high - 2.0 * middle) / step**2
     if bent <= 0.0:
         return None
     curved = float(curves[best]) + 0.5 * (low - high) / (bent * step)
-    left, depth = depths(curved)
+    if beside(curved, inside) > beside(0.0, inside):
+        # The floor of a flat tool, whose rim is round.
+        return None
+    depth, rest = fitted(curved, every)
     usual = float(np.median(depth))
-    rest = missing - depth[frame] * left
     spread = float(np.std(rest))
     # Where the rim hides a part of the dent, what is seen is no one surface.
     if usual < spread or spread > _RAGGED * noise:

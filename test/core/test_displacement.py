@@ -427,15 +427,22 @@ def test_a_dent_narrower_than_the_patch_is_read_on_its_floor(noise, tool_height)
     assert np.abs((signal.value - truth)[after]).max() < 2.0 * noise
 
 
-def hollow(dent, seed, width, *, grid=False, noise=3e-4):
-    """Return a slightly domed top with a dent of the form of a bell, a point each 4 mm^2 or so."""
+def hollow(dent, seed, width, *, grid=False, flat=False, noise=3e-4):
+    """
+    Return a slightly domed top with a dent, a point each 4 mm^2 or so.
+
+    Of the form of a bell, or flat up to the width with a rim of 3 mm.
+    """
     random = np.random.default_rng((seed, 11))
     if grid:
         x, y = (each.ravel() for each in np.meshgrid(*2 * [np.arange(-11, 12) * 0.002]))
     else:
         x, y = random.uniform(-0.022, 0.022, (2, 500))
     square = x**2 + y**2
-    z = TOP - 2.0 * square - dent * np.exp(-0.5 * square / width**2)
+    form = np.exp(-0.5 * square / width**2)
+    if flat:
+        form = np.clip((width + 0.003 - np.sqrt(square)) / 0.003, 0.0, 1.0)
+    z = TOP - 2.0 * square - dent * form
     z += noise * random.standard_normal(z.size)
     return np.stack((x + AXIS[0], y + AXIS[1], z), axis=-1).astype(np.float32)
 
@@ -454,6 +461,21 @@ def test_a_round_dent_is_read_where_it_is_deepest(width, grid, tool_height):
     pressed = truth > 0.004
     assert np.count_nonzero(pressed) > 20
     assert np.mean(signal.value[pressed] / truth[pressed]) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize('width', [0.004, 0.005, 0.007])
+@pytest.mark.parametrize('noise', [1e-4, 8e-4])
+def test_the_floor_of_a_flat_tool_is_not_taken_for_round(width, noise, tool_height):
+    """However round its rim is."""
+    clouds = [
+        CloudFrame(t, hollow(dent, seed, width, flat=True, noise=noise), 'support_plane')
+        for seed, (t, _, dent) in enumerate(trial())
+    ]
+    signal, warnings = displacement_from_clouds(clouds, tool_height)
+    assert not any('The dent is round' in each for each in warnings)
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    pressed = truth > 0.004
+    assert np.mean(signal.value[pressed] / truth[pressed]) == pytest.approx(1.0, abs=0.02)
 
 
 def near_by(**made):
