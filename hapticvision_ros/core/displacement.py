@@ -102,6 +102,8 @@ _STEEPEST: Final = 1.5
 _CURVES: Final = 61
 """Logarithm of what is left of the depth at the rim of a patch at most, at that of what tells it,
 and curves that are tried."""
+_LEAST_APART: Final = 1e-6
+"""Distance from its axis within which points tell no form of a dent [m]."""
 _RAGGED: Final = 1.5
 """Spread about the form of a dent, over that about the surface before the push, of one surface."""
 _RINGS: Final = 4
@@ -825,6 +827,8 @@ def _roundness(
     points = np.vstack(after)
     missing = _quadratic(points) @ original - points[:, 2]
     square = points[:, 0] ** 2 + points[:, 1] ** 2
+    if square.max() < _LEAST_APART**2:
+        return None
 
     def fitted(curved: float, of: slice | NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Return the depth in each frame, by some of its points, and what is left of these."""

@@ -478,6 +478,23 @@ def test_the_floor_of_a_flat_tool_is_not_taken_for_round(width, noise, tool_heig
     assert np.mean(signal.value[pressed] / truth[pressed]) == pytest.approx(1.0, abs=0.02)
 
 
+def test_what_is_seen_at_one_place_alone_tells_no_form(tool_height):
+    random = np.random.default_rng(2)
+    clouds = [
+        CloudFrame(
+            t,
+            np.column_stack(
+                (np.tile(AXIS, (20, 1)), TOP - dent + FINE * random.standard_normal(20))
+            ).astype(np.float32),
+            'c',
+        )
+        for t, _, dent in trial()
+    ]
+    signal, _ = displacement_from_clouds(clouds, tool_height)
+    truth = np.interp(signal.t, tool_height.t, [dent for _, _, dent in trial()])
+    assert np.abs(signal.value - truth).max() < 2.0 * FINE
+
+
 def near_by(**made):
     """Return clouds and tool heights of a push whose tool stays a millimetre above the surface."""
     frames = [(0.1 * k, TOP + 0.001, 0.0) for k in range(10)]
