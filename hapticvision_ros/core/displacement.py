@@ -416,8 +416,7 @@ class DisplacementTracker:
             # A comparison drops NaN, but not a return at minus infinity.
             patch = patch[np.isfinite(patch[:, 2])]
             heights: FloatArray = patch[:, 2] - self._level_at(patch)
-        original = self.original_height
-        if self._curved and original is not None:
+        if self._curved and (original := self.original_height) is not None:
             # What each point says of the deepest one.
             there = np.exp(self._curved * self._distance(patch))
             heights = original - (original - heights) * there

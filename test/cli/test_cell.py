@@ -38,6 +38,8 @@ DEADLINE = 90.0
 """Eight processes start and stop on a machine that may have two processors [s]."""
 STEADY = 0.1
 """Longest time without a height of the tool, of 0.01 s, while nothing stands still [s]."""
+LATE = 0.05
+"""Longest time for which the arm goes on beyond a height, where none is held up [s]."""
 ATTEMPTS = 4
 """How often a trial is recorded until nothing stood still in it."""
 
@@ -252,8 +254,8 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     assert 0.0015 < residual['measured'] < 0.0027
     # The controller stops the arm at the first height below the depth: that is late by a step.
     deepest = 0.02 - heights.value.min()
-    # Between two heights the arm goes on: by 5 mm/s at most.
-    assert 0.003 <= deepest + 1e-5 < 0.003 + 0.005 * np.diff(heights.t).max()
+    late = max(float(np.diff(heights.t).max()), LATE)
+    assert 0.003 <= deepest + 1e-5 < 0.003 + 0.005 * late
     assert residual['measured'] + bouncing['measured'] == pytest.approx(deepest, abs=5e-5)
     assert residual['simulated'] == pytest.approx(residual['measured'], abs=1.5e-4)
     assert bouncing['simulated'] == pytest.approx(bouncing['measured'], abs=1.5e-4)
