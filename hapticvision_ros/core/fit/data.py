@@ -48,7 +48,7 @@ from hapticvision_ros.core.fit.bend import (
     SWINGS,
     WILDEST,
 )
-from hapticvision_ros.core.fit.glitches import find_glitches
+from hapticvision_ros.core.fit.glitches import find_glitches, resolution
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.short_move import short_move, ShortMove
@@ -1544,9 +1544,11 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     if ends.size == 0:
         return none
     found = np.zeros(value.size, dtype=np.bool_)
+    # Where the record rests, a part of it alone does not show that it is quantised.
+    floor = resolution(value)
     for block in dict.fromkeys((ends // 2048).tolist()):
         low, high = max(0, block * 2048 - 512), min(value.size, (block + 1) * 2048 + 512)
-        found[low:high] |= find_glitches(value[low:high])
+        found[low:high] |= find_glitches(value[low:high], floor)
     for first, last in runs(found):
         none[first:last] = last - first <= _LONGEST_GLITCH
     return none

@@ -38,9 +38,11 @@ _LOCAL_SPREADS: Final = 5.0
 _SCALES: Final = (1, 4, 16, 64)
 _TYPICAL_SAMPLES: Final = 4096
 """Windows that tell the noise of a long record."""
+_FLIPS: Final = 12
+"""Steps of the least size that chance does not make of a few glitches."""
 
 
-def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
+def find_glitches(value: FloatArray, floor: float | None = None) -> NDArray[np.bool_]:
     """
     Return which samples stand out of their own neighbourhood.
 
@@ -54,6 +56,8 @@ def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
     ----------
     value : ndarray, shape (n,)
         Samples in order of time.
+    floor : float, optional
+        Departure below which nothing is a glitch; `resolution` of the samples by default.
 
     Returns
     -------
@@ -62,7 +66,8 @@ def find_glitches(value: FloatArray) -> NDArray[np.bool_]:
 
     """
     glitch = np.zeros(value.size, dtype=np.bool_)
-    floor = _resolution(value)
+    if floor is None:
+        floor = resolution(value)
     for scale in _SCALES:
         blocks = value.size // scale
         if blocks <= 4 * _HALF_WIDTH:
@@ -116,12 +121,28 @@ def _running(larger: np.ufunc, padded: FloatArray) -> FloatArray:
     return np.asarray(larger(eight[:-3], eight[3:]))
 
 
-def _resolution(value: FloatArray) -> float:
-    """Return the departure that the steps of a quantised record make by themselves."""
+def resolution(value: FloatArray) -> float:
+    """
+    Return the departure that the steps of a quantised record make by themselves.
+
+    Parameters
+    ----------
+    value : ndarray, shape (n,)
+        Samples in order of time.
+
+    Returns
+    -------
+    float
+        Twice its steps, or what rounding makes of a record that has none.
+
+    """
     if value.size < 2:
         return 0.0
     steps = np.abs(np.diff(value))
     quantum = float(np.min(steps, where=steps > 0.0, initial=np.inf))
     span = float(np.ptp(np.quantile(value, (0.05, 0.95))))
     rounding = 1e-6 * span + 1e-12 * float(np.abs(value).max())
-    return max(2.0 * quantum if quantum < span else 0.0, rounding)
+    # A record that rests on one step and now and then shows the next is quantised as well.
+    single = np.count_nonzero((steps > 0.0) & (steps < 1.5 * quantum))
+    quantised = quantum < span or single >= _FLIPS
+    return max(2.0 * quantum if quantised else 0.0, rounding)

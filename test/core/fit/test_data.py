@@ -306,6 +306,18 @@ def test_a_step_of_the_force_is_no_glitch() -> None:
     assert not suspects(value).any()
 
 
+def test_where_a_quantised_record_rests_its_other_steps_are_no_glitches() -> None:
+    """That part alone does not show how the record is quantised."""
+    random = np.random.default_rng(5)
+    fall = 3.6 * np.exp(-np.arange(4000) / 400.0)
+    value = np.round((fall + 0.018 * random.standard_normal(4000)) / 0.09) * 0.09
+    value = np.append(value, np.zeros(8000))
+    value[[7000, 9000, 9001, 11000]] = 0.09
+    assert not suspects(value).any()
+    value[10000] = 0.9
+    assert np.flatnonzero(suspects(value)).tolist() == [10000]
+
+
 def test_what_cannot_be_fitted_is_named_with_the_reason() -> None:
     """No contact, and a tool that does not push."""
     trial = _trial()

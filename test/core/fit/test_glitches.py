@@ -59,5 +59,16 @@ def test_the_steps_of_a_quantised_record_are_no_glitches() -> None:
     assert not find_glitches(value).any()
 
 
+def test_a_quantised_record_that_rests_on_one_step_has_no_glitches() -> None:
+    """Its noise is less than half a step: now and then it shows the next one."""
+    random = np.random.default_rng(4)
+    value = np.round(0.2 * random.standard_normal(4000)) * 0.09
+    flips = np.count_nonzero(value)
+    assert 20 < flips < 200
+    assert not find_glitches(value).any()
+    value[2000] = 0.9
+    assert np.flatnonzero(find_glitches(value)).tolist() == [2000]
+
+
 def test_short_records_are_left_alone() -> None:
     assert not find_glitches(np.array([1.0, 100.0, 1.0])).any()
