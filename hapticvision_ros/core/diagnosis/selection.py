@@ -129,6 +129,8 @@ class Strongest:
         is whose moment is not known.
     gain : float
         What all of it has gained by Schwarz's criterion.
+    alike : float
+        The largest strength if the trials were alike, as in `Trialled`.
 
     """
 
@@ -136,6 +138,7 @@ class Strongest:
     in_height: float = 0.0
     calm: float = 0.0
     gain: float = 0.0
+    alike: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +169,9 @@ class Trialled:
         known as well without it; infinite where it lasts for longer than a sample.
     calm : float
         The strength where no jump is whose moment is not known, if the effect gains anything.
+    alike : float
+        The strength if no trial had a scatter of its own, where trials scatter and the effect
+        gains much: what goes from trial to trial as an effect would, scatter takes up, at a price.
 
     """
 
@@ -180,6 +186,7 @@ class Trialled:
     height_score: float = 0.0
     sure: float = math.inf
     calm: float = 0.0
+    alike: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -543,7 +550,21 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
         told = _told_by_heights(bench, without) - _told_by_heights(bench, refit)
     size = strength(bench, refit, without)
     calm = strength(bench, refit, without, calm=True) if gain > GATE else 0.0
-    return Trialled(effect, score, gain, size, refit, release, stop, in_height, told, sure, calm)
+    alike = 0.0
+    if bench.scatter is not None and gain > CERTAIN:
+        alike = strength(bench, _without_scatter(refit), _without_scatter(without))
+    return Trialled(
+        effect, score, gain, size, refit, release, stop, in_height, told, sure, calm, alike
+    )
+
+
+def _without_scatter(refit: Refit) -> Refit:
+    """Return a model as it would be of trials that are alike."""
+    problem, state = refit.problem, refit.state.copy()
+    for place in problem.places:
+        first = place.start + problem.q
+        state[first : first + problem.scatter.size] = 0.0
+    return replace(refit, state=state)
 
 
 def _told_by_heights(bench: Workbench, refit: Refit) -> float:
@@ -808,6 +829,7 @@ def _forward(
             max(strongest.in_height, leader.in_height),
             max(strongest.calm, calm),
             strongest.gain + leader.gain,
+            max(strongest.alike, leader.alike),
         )
         current = good[0].refit
     return current, tuple(rounds)
@@ -990,6 +1012,7 @@ def _good(
     weakest_in_height = max(WEAKEST, _SECONDARY * strongest.in_height)
     # What draws jumps out is strong there only, and what lasts is held against what lasts.
     weakest_calm = max(WEAKEST, _SECONDARY * strongest.calm)
+    weakest_alike = max(WEAKEST, _SECONDARY * strongest.alike)
     certain = max(CERTAIN, _SECOND_GAIN * strongest.gain)
     refused = drawn_out(bench, tried)
 
@@ -1006,6 +1029,8 @@ def _good(
             else:
                 # What acts for a short while, such as adhesion, is weak over whole trials.
                 seen |= each.gain > CERTAIN
+            # What differs between trials scatter may take up in all of them.
+            seen |= each.alike > weakest_alike
             return (seen and _seen(each) > GATE) or heights_tell(each)
         # How a jump is drawn out does not matter to the heights.
         told = min(_seen(each), each.sure)

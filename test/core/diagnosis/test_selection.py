@@ -43,6 +43,7 @@ from hapticvision_ros.core.diagnosis.selection import (
     told_by_one_step,
     Trialled,
     try_all,
+    WEAKEST,
 )
 from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.fit.bend import Bend, Shape
@@ -558,6 +559,23 @@ def test_a_misplaced_touch_is_no_size_of_what_a_model_lacks(world: Any) -> None:
     other[longer.model.names.index('K1')] += 0.02
     away = replace(longer, state=other)
     assert strength(bench, away, longer, calm=True) > 0.9 * strength(bench, away, longer)
+
+
+def test_what_scatter_takes_up_beside_an_effect_is_no_less_of_an_effect(world: Any) -> None:
+    """An object that ages: trials that scatter follow that as well, each by itself."""
+    campaign = world.campaign(world.repeated, hold=3.0, recover=2.0, rate=100.0)
+    names = ['yield_force', 'ageing', 'damage']
+    acting = Undeclared('yield_force', (0.37,)), Undeclared('ageing', (-1.5,))
+    bench, base = world.measure(campaign, *acting, seed=3).bench(scatter=0.02)
+    _, rounds = select(bench, base, names)
+    assert [each.alike for each in rounds] == [('yield_force',), ('ageing',), ()]
+    aged = rounds[1].candidates[0]
+    assert aged.strength < WEAKEST < 1.0 < aged.alike
+    # It is weighed against what was accepted before, by what that does to trials that are alike.
+    yields = rounds[0].candidates[0].alike
+    assert _good(bench, rounds[1].without, (aged,), Strongest(alike=yields)) == [aged]
+    louder = Strongest(strength=1.0, calm=1.0, alike=10.0 * aged.alike)
+    assert _good(bench, rounds[1].without, (aged,), louder) == []
 
 
 def test_a_pull_that_comes_slowly_is_found_at_whatever_noise_makes_it_look_like(
