@@ -128,6 +128,9 @@ SYMBOLS: Final = (
 
 WHOLE: Final = 'whole.'
 """What the keys begin with that tell of the fit to the whole waveform."""
+MISS: Final = f'{WHOLE}force_rmse'
+MISS_BY_NOISE: Final = f'{WHOLE}force_rmse_over_noise'
+"""What it leaves of the force."""
 
 TRIAL: Final = 'trial'
 """Key of the number that `/rheology_fitter/reset` has answered."""
@@ -213,8 +216,9 @@ def whole_values(analysis: TrialAnalysis) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        ``whole.model``, for each of its parameters the same pairs as in `result_values`, and each
-        warning of the fit; or ``whole.reason`` where the trial cannot be fitted.
+        ``whole.model``, for each of its parameters the same pairs as in `result_values`, by how
+        much it misses the force [N], and over the noise before contact where that is known, and
+        each warning of the fit; or ``whole.reason`` where the trial cannot be fitted.
 
     """
     # These take longer to import than a node may take to answer.
@@ -229,6 +233,10 @@ def whole_values(analysis: TrialAnalysis) -> dict[str, str]:
         return values | {f'{WHOLE}reason': str(error)}
     for name, unit in zip(model.names, model.units, strict=True):
         values |= _pairs(f'{WHOLE}{name}', found.parameters[name], unit)
+    values |= _pairs(MISS, Estimate(found.force_rmse), 'N')
+    chi2 = found.force_chi2
+    if chi2 is not None:
+        values |= _pairs(MISS_BY_NOISE, Estimate(math.sqrt(chi2)), '-')
     for number, warning in enumerate(found.warnings, start=1):
         values[f'{WHOLE}warning {number}'] = warning
     return values
@@ -521,7 +529,10 @@ def _told(whole: Mapping[str, str]) -> str:
             continue
         error = f' +- {float(whole[f"{key}.std"]):.2g}' if f'{key}.std' in whole else ''
         parts.append(f'{name} = {float(whole[f"{key}.value"]):.4g}{error} {whole[f"{key}.unit"]}')
-    return ', '.join(parts)
+    miss = f'the force is missed by {float(whole[f"{MISS}.value"]):.2g} N'
+    if f'{MISS_BY_NOISE}.value' in whole:
+        miss += f', {float(whole[f"{MISS_BY_NOISE}.value"]):.2g} times its noise before contact'
+    return f'{", ".join(parts)}; {miss}'
 
 
 def main() -> int:

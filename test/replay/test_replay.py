@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 import os
 from pathlib import Path
+import re
 import socket
 import threading
 import time
@@ -39,13 +40,21 @@ from hapticvision_ros.bag.contract import (
 from hapticvision_ros.bag.playback import Playback
 from hapticvision_ros.bag.reader import read_trial
 from hapticvision_ros.cli.processes import node, Supervisor
+from hapticvision_ros.core.composition import Model
+from hapticvision_ros.core.fit.campaign import fit
 from hapticvision_ros.core.pipeline import analyse, TrialAnalysis
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import OnlineSegmenter
 from hapticvision_ros.nodes.bag_player import BagPlayer, LARGEST_TICK_NS, result_lines
 from hapticvision_ros.nodes.conversions import ns_from_stamp, values_from_status
 from hapticvision_ros.nodes.qos import create_subscription
-from hapticvision_ros.nodes.rheology_fitter import result_values, SYMBOLS, TRIAL, whole_values
+from hapticvision_ros.nodes.rheology_fitter import (
+    _told,
+    result_values,
+    SYMBOLS,
+    TRIAL,
+    whole_values,
+)
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
@@ -268,3 +277,23 @@ def test_a_trial_that_no_model_fits_has_the_reason():
     assert values['whole.model'] == 'three-element'
     assert values['whole.reason']
     assert not any(key.endswith('.value') for key in values)
+    assert _told(values) == values['whole.reason']
+
+
+def test_by_how_much_three_elements_miss_a_trial_is_told():
+    trial = read_trial(next(path for path in TRIALS if 'soft_block' in str(path)))
+    values = whole_values(analyse(trial))
+    rest, _, miss = _told(values).partition('; ')
+    assert re.match(r'K1 = \S+ \+- \S+ N/m, C1 = .*, C2 = ', rest)
+    assert miss == (
+        f'the force is missed by {float(values["whole.force_rmse.value"]):.2g} N, '
+        f'{float(values["whole.force_rmse_over_noise.value"]):.2g} times its noise before contact'
+    )
+    found = fit([analyse(trial)], Model())
+    assert float(values['whole.force_rmse.value']) == found.force_rmse > 0.0
+    assert float(values['whole.force_rmse_over_noise.value']) ** 2 == pytest.approx(
+        found.force_chi2
+    )
+    # Where the record has no noise before contact nothing is said of it.
+    del values['whole.force_rmse_over_noise.value']
+    assert _told(values).endswith(' N')
