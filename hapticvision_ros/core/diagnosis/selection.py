@@ -563,7 +563,8 @@ def _without_scatter(refit: Refit) -> Refit:
     problem, state = refit.problem, refit.state.copy()
     for place in problem.places:
         first = place.start + problem.q
-        state[first : first + problem.scatter.size] = 0.0
+        last = first + problem.scatter.size
+        state[first:last] = 0.0
     return replace(refit, state=state)
 
 
