@@ -46,6 +46,10 @@ _FINER: Final = 4
 """Letters are drawn so much larger, and made smaller again: without it no point is seen."""
 _CAPTION: Final = 24
 """Height of a line of text over a picture [pixels]."""
+_SIZE: Final = 0.45
+"""Size of the letters, as OpenCV scales its font."""
+_ASIDE: Final = 8
+"""Pixels between a caption and either side of the picture."""
 _DARKEST: Final = 0.45
 _LIGHT: Final = np.array([-0.35, -0.45, 0.82])
 """Where the light comes from, as seen by the viewer: left, above, in front."""
@@ -269,13 +273,18 @@ def _turned(radius: float, tip: float, length: float, sides: int) -> Mesh:
 
 
 def captioned(picture: Picture, text: str) -> Picture:
-    """Return a picture with a line of plain text over it."""
-    strip = np.full((_CAPTION, picture.shape[1]), Grey.PAGE, np.uint8)
-    _write(strip, text, 8, _CAPTION - 7)
+    """Return a picture with a line of plain text over it, smaller where that is long."""
+    import cv2
+
+    width = picture.shape[1]
+    strip = np.full((_CAPTION, width), Grey.PAGE, np.uint8)
+    (long, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FINER * _SIZE, _FINER + 1)
+    shrunk = min(1.0, _FINER * (width - 2 * _ASIDE) / max(long, 1))
+    _write(strip, text, _ASIDE, _CAPTION - 7, size=shrunk * _SIZE)
     return np.concatenate((strip, picture))
 
 
-def _write(picture: Picture, text: str, column: int, row: int, *, size: float = 0.45) -> None:
+def _write(picture: Picture, text: str, column: int, row: int, *, size: float = _SIZE) -> None:
     """Write a line of plain text onto a page, its left end at a place [pixels]."""
     import cv2
 

@@ -133,6 +133,21 @@ def test_a_caption_stands_over_the_picture_and_can_be_read() -> None:
     assert 0.01 < np.mean(dark[1] < dark[0] - 60) < 0.2
 
 
+def test_a_long_caption_is_shrunk_and_not_cut() -> None:
+    plain = np.full((60, 400), 9, np.uint8)
+    told = 'measured - simulated: rms 10.12 mm, noise 10.15 mm, and 1.5 s after'
+    for text in (told, told + ' the release'):
+        columns = np.flatnonzero((captioned(plain, text)[:-60] != Grey.PAGE).any(axis=0))
+        assert columns[0] >= 8
+        # It fills the line, and ends before the picture does.
+        assert 360 < columns[-1] <= 393
+    # What is short enough is as large as ever.
+    wide = np.full((60, 800), 9, np.uint8)
+    np.testing.assert_array_equal(
+        captioned(plain, 'measured')[:-60], captioned(wide, 'measured')[:-60, :400]
+    )
+
+
 def test_a_colour_bar_says_where_its_colours_end() -> None:
     closed, open_ended = (
         colour_bar(320, -1e-3, 1e-3, 'mm', factor=1e3, open_ended=end) for end in (False, True)
