@@ -161,6 +161,11 @@ class RollCall:
         self._heard.clear()
 
     @property
+    def complete(self) -> bool:
+        """Return whether all of them have been heard."""
+        return len(self._heard) == len(self._names)
+
+    @property
     def silent(self) -> tuple[str, ...]:
         """Return the names of those that were heard once and are not heard any more, in order."""
         now = time.monotonic()

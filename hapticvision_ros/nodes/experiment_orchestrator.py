@@ -468,6 +468,7 @@ class ExperimentOrchestrator(CellNode):
         create_service(self, START_EXPERIMENT, self._on_start)
         create_service(self, CANCEL_EXPERIMENT, self._on_cancel)
         self._roll_call = RollCall(self, OTHERS)
+        self._complete = False
         diagnostics = Diagnostics(self)
         diagnostics.add('experiment', self._find_experiment)
         diagnostics.add('recording', self._find_recording)
@@ -645,6 +646,9 @@ class ExperimentOrchestrator(CellNode):
             self._beaten = now
             self._heartbeat.publish(scalar_to_message(now - self._began))
         self._take(now)
+        if not self._complete and self._roll_call.complete:
+            self._complete = True
+            self.get_logger().info('all nodes of the cell are there: ready for an experiment')
         experiment = self._experiment
         if experiment is None:
             return

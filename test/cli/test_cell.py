@@ -21,6 +21,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 from hapticvision_ros.bag.reader import read_trial
@@ -157,14 +158,22 @@ def test_a_cell_that_is_killed_leaves_no_process(domain):
     with subprocess.Popen(
         [HAPTICVISION, 'cell'],
         env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     ) as process:
+        assert process.stdout is not None
         end = time.monotonic() + DEADLINE
-        while len(running(process.pid)) < 1 + len(NODES):
-            assert process.poll() is None
-            assert time.monotonic() < end, 'the nodes did not start'
-            time.sleep(0.1)
+        impatience = threading.Timer(DEADLINE, process.kill)
+        impatience.start()
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if line.endswith('ready for an experiment\n'):
+                break
+        impatience.cancel()
+        assert said and said[-1].startswith('[experiment_orchestrator] '), said
+        assert len(running(process.pid)) == 1 + len(NODES)
         process.kill()
         code = process.wait(DEADLINE)
         while running(process.pid):

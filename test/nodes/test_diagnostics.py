@@ -113,6 +113,8 @@ def test_nodes_that_were_heard_and_are_silent_now_are_named(ros, monkeypatch, na
         )
         call._on_array(array_of(f'{own}stranger: it'))
         assert call.silent == ()
+        # The driver that was heard is of another cell, where there are several.
+        assert not call.complete
         end = time.monotonic() + 0.1
         while time.monotonic() < end:
             call._on_array(array_of(f'{own}planner: plan'))
@@ -121,6 +123,10 @@ def test_nodes_that_were_heard_and_are_silent_now_are_named(ros, monkeypatch, na
         assert call.silent == ()
         call._on_array(array_of(f'{own}fitter: fit'))
         assert call.silent == ()
+        call._on_array(array_of(f'{own}planner: plan'))
+        assert not call.complete
+        call._on_array(array_of(f'{own}driver: device', f'{own}driver: clock'))
+        assert call.complete
     finally:
         node.destroy_node()
 
