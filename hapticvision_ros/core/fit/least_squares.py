@@ -43,14 +43,7 @@ _STUCK: Final = 1e-9
 """Step, over the parameters, below which a search that gains nothing has ended."""
 _DEPENDENT: Final = 1e-9
 """Part of a vector's length beside others below which it depends on them."""
-_IDLE: Final = 3
-"""Steps in turn, each promising too little within its trust region, after which a search ends."""
 _ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)
-_SHRINK: Final = 0.25
-_SHRINK_FAR: Final = 0.1
-"""Parts of a step that is refused to which the next one may go; where it led far off."""
-_FAR: Final = 100.0
-"""Growth of the squares that is far off."""
 
 
 class NotFiniteError(ValueError):
@@ -270,7 +263,7 @@ def minimise(
     scale[scale == 0.0] = 1.0
     length = float(np.linalg.norm(scale * theta))
     radius = _FIRST_RADIUS * (length if length > 0.0 else 1.0)
-    evaluations, converged, idle = 1, False, 0
+    evaluations, converged = 1, False
     held = _held(theta, lower, upper, jacobian.T @ residual)
     while True:
         free = np.flatnonzero(~held)
@@ -282,8 +275,6 @@ def minimise(
         accepted = False
         while not accepted:
             step, promised = _step(singular, right, projected, radius)
-            # Where the model is bent, regions may stay so small that nothing is left to gain.
-            idle = idle + 1 if promised <= tolerance * cost else 0
             move = np.zeros(theta.size)
             move[free] = step / scale[free]
             if reach is not None:
@@ -296,7 +287,6 @@ def minimise(
             if (
                 reachable <= tolerance * cost
                 or stuck
-                or idle == _IDLE
                 or taken <= max(step_tolerance, _ROUNDING) * size
             ):
                 converged = True
@@ -313,8 +303,7 @@ def minimise(
             if not math.isfinite(new_cost) or not np.isfinite(new_jacobian).all():
                 gain = -1.0
             if gain < 0.25:
-                shrink = _SHRINK if new_cost < _FAR * cost else _SHRINK_FAR
-                radius = shrink * min(radius, taken)
+                radius = 0.25 * min(radius, taken)
             elif gain > 0.75:
                 radius = max(radius, 2.0 * taken)
             accepted = gain > 1e-4

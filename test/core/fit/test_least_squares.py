@@ -200,19 +200,6 @@ def test_a_direction_in_which_nothing_changes_has_no_error() -> None:
     assert np.isfinite(spread[2])
 
 
-def test_a_search_before_a_wall_ends_where_it_may_gain_nothing_that_counts() -> None:
-    """As before a moment from which on a step of the force is another: each step is refused."""
-
-    def wall(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        beyond = 0.0 if theta[0] < 1.0 else 1e3
-        return np.array([theta[0] - 5.0, beyond]), np.array([[1.0], [0.0]])
-
-    found = minimise(wall, np.array([0.5]), tolerance=1e-4)
-    assert found.converged
-    assert 0.0 < 1.0 - found.theta[0] < 1e-4
-    assert found.evaluations < 30
-
-
 def test_a_start_without_a_value_is_refused() -> None:
     """A search cannot leave a point at which the model is not finite."""
     with pytest.raises(ValueError, match='not finite at the start'):
