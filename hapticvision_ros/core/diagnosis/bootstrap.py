@@ -168,10 +168,7 @@ def simulated(base: Refit, scatter: FloatArray, random: np.random.Generator) -> 
     for index, trial in enumerate(problem.trials):
         # The problem's own scatter is what the fit has found; here each trial draws its own.
         state[: scatter.size] = theta + scatter * random.standard_normal(scatter.size)
-        if problem.scatter.size:
-            first = problem.places[index].start + problem.q
-            last = first + problem.scatter.size
-            state[first:last] = 0.0
+        state[problem.scattered(index)] = 0.0
         _, force_zero, height_zero = problem.own(state, index)
         full = trial.full_rate
         noise = trial_noise(trial, base, base.jumps[index], random)

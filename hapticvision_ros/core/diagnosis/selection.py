@@ -129,8 +129,8 @@ class Strongest:
         is whose moment is not known.
     gain : float
         What all of it has gained by Schwarz's criterion.
-    alike : float
-        The largest strength if the trials were alike, as in `Trialled`.
+    unscattered : float
+        The largest strength of trials without scatter, as in `Trialled`.
 
     """
 
@@ -138,7 +138,7 @@ class Strongest:
     in_height: float = 0.0
     calm: float = 0.0
     gain: float = 0.0
-    alike: float = 0.0
+    unscattered: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,9 +169,10 @@ class Trialled:
         known as well without it; infinite where it lasts for longer than a sample.
     calm : float
         The strength where no jump is whose moment is not known, if the effect gains anything.
-    alike : float
-        The strength if no trial had a scatter of its own, where trials scatter and the effect
-        gains much: what goes from trial to trial as an effect would, scatter takes up, at a price.
+    unscattered : float
+        What `calm` would be if no trial had a scatter of its own, where trials scatter and the
+        effect gains much: what goes from trial to trial as an effect would, scatter takes up, at a
+        price.
 
     """
 
@@ -186,7 +187,7 @@ class Trialled:
     height_score: float = 0.0
     sure: float = math.inf
     calm: float = 0.0
-    alike: float = 0.0
+    unscattered: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -550,21 +551,20 @@ def _trialled(bench: Workbench, without: Refit, effect: str, refit: Refit) -> Tr
         told = _told_by_heights(bench, without) - _told_by_heights(bench, refit)
     size = strength(bench, refit, without)
     calm = strength(bench, refit, without, calm=True) if gain > GATE else 0.0
-    alike = 0.0
+    unscattered = 0.0
     if bench.scatter is not None and gain > CERTAIN:
-        alike = strength(bench, _without_scatter(refit), _without_scatter(without))
+        both = _without_scatter(refit), _without_scatter(without)
+        unscattered = strength(bench, *both, calm=True)
     return Trialled(
-        effect, score, gain, size, refit, release, stop, in_height, told, sure, calm, alike
+        effect, score, gain, size, refit, release, stop, in_height, told, sure, calm, unscattered
     )
 
 
 def _without_scatter(refit: Refit) -> Refit:
     """Return a model as it would be of trials that are alike."""
-    problem, state = refit.problem, refit.state.copy()
-    for place in problem.places:
-        first = place.start + problem.q
-        last = first + problem.scatter.size
-        state[first:last] = 0.0
+    state = refit.state.copy()
+    for index in range(len(refit.problem.trials)):
+        state[refit.problem.scattered(index)] = 0.0
     return replace(refit, state=state)
 
 
@@ -830,7 +830,7 @@ def _forward(
             max(strongest.in_height, leader.in_height),
             max(strongest.calm, calm),
             strongest.gain + leader.gain,
-            max(strongest.alike, leader.alike),
+            max(strongest.unscattered, leader.unscattered),
         )
         current = good[0].refit
     return current, tuple(rounds)
@@ -1013,7 +1013,7 @@ def _good(
     weakest_in_height = max(WEAKEST, _SECONDARY * strongest.in_height)
     # What draws jumps out is strong there only, and what lasts is held against what lasts.
     weakest_calm = max(WEAKEST, _SECONDARY * strongest.calm)
-    weakest_alike = max(WEAKEST, _SECONDARY * strongest.alike)
+    weakest_unscattered = max(WEAKEST, _SECONDARY * strongest.unscattered)
     certain = max(CERTAIN, _SECOND_GAIN * strongest.gain)
     refused = drawn_out(bench, tried)
 
@@ -1031,7 +1031,7 @@ def _good(
                 # What acts for a short while, such as adhesion, is weak over whole trials.
                 seen |= each.gain > CERTAIN
             # What differs between trials scatter may take up in all of them.
-            seen |= each.alike > weakest_alike
+            seen |= each.unscattered > weakest_unscattered
             return (seen and _seen(each) > GATE) or heights_tell(each)
         # How a jump is drawn out does not matter to the heights.
         told = min(_seen(each), each.sure)

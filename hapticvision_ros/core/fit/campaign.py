@@ -542,6 +542,11 @@ class Problem:
         height_zero = float(values[-1]) if trial.has_height_zero else 0.0
         return values[: self.q], force_zero, height_zero
 
+    def scattered(self, index: int) -> slice:
+        """Return the place in the state of what a trial's own K1, C1 and C2 differ by."""
+        first = self.places[index].start + self.q
+        return slice(first, first + self.scatter.size)
+
     @property
     def _rest(self) -> int:
         """Return the place among a trial's own parameters of where the tool is held."""
@@ -565,10 +570,8 @@ class Problem:
     ) -> Prediction:
         theta = state[: self.p]
         if self.scatter.size:
-            first = self.places[index].start + self.q
-            last = first + self.scatter.size
             theta = theta.copy()
-            theta[: self.scatter.size] += state[first:last]
+            theta[: self.scatter.size] += state[self.scattered(index)]
         if trial is None:
             trial = self.trials[index]
         if trial.rest_std > 0.0:

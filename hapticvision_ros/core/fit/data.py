@@ -1544,11 +1544,12 @@ def suspects(value: FloatArray) -> NDArray[np.bool_]:
     if ends.size == 0:
         return none
     found = np.zeros(value.size, dtype=np.bool_)
-    # Where the record rests, a part of it alone does not show that it is quantised.
+    # Where a quantised record rests, that part alone does not show its steps.
     floor = resolution(value)
     for block in dict.fromkeys((ends // 2048).tolist()):
         low, high = max(0, block * 2048 - 512), min(value.size, (block + 1) * 2048 + 512)
-        found[low:high] |= find_glitches(value[low:high], floor)
+        part = value[low:high]
+        found[low:high] |= find_glitches(part, max(floor, resolution(part)))
     for first, last in runs(found):
         none[first:last] = last - first <= _LONGEST_GLITCH
     return none

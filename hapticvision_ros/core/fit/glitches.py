@@ -38,8 +38,8 @@ _LOCAL_SPREADS: Final = 5.0
 _SCALES: Final = (1, 4, 16, 64)
 _TYPICAL_SAMPLES: Final = 4096
 """Windows that tell the noise of a long record."""
-_FLIPS: Final = 12
-"""Steps of the least size that chance does not make of a few glitches."""
+_ODD: Final = 0.05
+"""Part of the steps of a quantised record that may be smaller than its own."""
 
 
 def find_glitches(value: FloatArray, floor: float | None = None) -> NDArray[np.bool_]:
@@ -138,11 +138,14 @@ def resolution(value: FloatArray) -> float:
     """
     if value.size < 2:
         return 0.0
+    low, high = map(float, np.quantile(value, (0.05, 0.95)))
+    span = high - low
+    # One wild value makes no rounding.
+    rounding = 1e-6 * span + 1e-12 * max(abs(low), abs(high))
     steps = np.abs(np.diff(value))
-    quantum = float(np.min(steps, where=steps > 0.0, initial=np.inf))
-    span = float(np.ptp(np.quantile(value, (0.05, 0.95))))
-    rounding = 1e-6 * span + 1e-12 * float(np.abs(value).max())
-    # A record that rests on one step and now and then shows the next is quantised as well.
-    single = np.count_nonzero((steps > 0.0) & (steps < 1.5 * quantum))
-    quantised = quantum < span or single >= _FLIPS
-    return max(2.0 * quantum if quantised else 0.0, rounding)
+    steps = steps[steps > rounding]
+    if steps.size == 0:
+        return rounding
+    # A few odd samples have smaller steps than a quantised record.
+    quantum = float(np.quantile(steps, _ODD, method='lower'))
+    return max(2.0 * quantum if quantum < span else 0.0, rounding)

@@ -570,11 +570,13 @@ def test_what_scatter_takes_up_beside_an_effect_is_no_less_of_an_effect(world: A
     _, rounds = select(bench, base, names)
     assert [each.alike for each in rounds] == [('yield_force',), ('ageing',), ()]
     aged = rounds[1].candidates[0]
-    assert aged.strength < WEAKEST < 1.0 < aged.alike
-    # It is weighed against what was accepted before, by what that does to trials that are alike.
-    yields = rounds[0].candidates[0].alike
-    assert _good(bench, rounds[1].without, (aged,), Strongest(alike=yields)) == [aged]
-    louder = Strongest(strength=1.0, calm=1.0, alike=10.0 * aged.alike)
+    assert aged.strength < WEAKEST < 1.0 < aged.unscattered
+    # It is weighed against what was accepted before, by what that does to trials without scatter.
+    yields = rounds[0].candidates[0].unscattered
+    assert yields > WEAKEST
+    before = Strongest(strength=1.0, calm=1.0, unscattered=yields)
+    assert _good(bench, rounds[1].without, (aged,), before) == [aged]
+    louder = replace(before, unscattered=10.0 * aged.unscattered)
     assert _good(bench, rounds[1].without, (aged,), louder) == []
 
 

@@ -316,6 +316,9 @@ def test_where_a_quantised_record_rests_its_other_steps_are_no_glitches() -> Non
     assert not suspects(value).any()
     value[10000] = 0.9
     assert np.flatnonzero(suspects(value)).tolist() == [10000]
+    # One value out of this world hides no glitch elsewhere.
+    value[5000] = 1e30
+    assert np.flatnonzero(suspects(value)).tolist() == [5000, 10000]
 
 
 def test_what_cannot_be_fitted_is_named_with_the_reason() -> None:

@@ -14,7 +14,7 @@
 
 """What counts as a glitch, and what of the physics never does."""
 
-from hapticvision_ros.core.fit.glitches import find_glitches
+from hapticvision_ros.core.fit.glitches import find_glitches, resolution
 import numpy as np
 import pytest
 
@@ -59,15 +59,36 @@ def test_the_steps_of_a_quantised_record_are_no_glitches() -> None:
     assert not find_glitches(value).any()
 
 
-def test_a_quantised_record_that_rests_on_one_step_has_no_glitches() -> None:
+def test_the_resolution_is_that_of_the_whole_record_whatever_a_few_samples_do() -> None:
+    value = np.round(_decay(noise=0.003) / 0.02) * 0.02
+    assert resolution(value) == pytest.approx(0.04)
+    odd = value.copy()
+    odd[300] += 0.003
+    odd[700:] += 1e-16 * np.random.default_rng(4).standard_normal(odd.size - 700)
+    odd[900] = 1e30
+    assert resolution(odd) == pytest.approx(0.04)
+    # A record without steps has none but of its rounding.
+    smooth = 5.0 * np.exp(-T / 0.7)
+    assert 0.0 < resolution(smooth) < 1e-2
+    assert resolution(np.full(100, 2.0)) == pytest.approx(2e-12)
+
+
+def test_a_part_that_rests_on_one_step_has_no_glitches_by_the_steps_of_the_whole() -> None:
     """Its noise is less than half a step: now and then it shows the next one."""
     random = np.random.default_rng(4)
     value = np.round(0.2 * random.standard_normal(4000)) * 0.09
-    flips = np.count_nonzero(value)
-    assert 20 < flips < 200
-    assert not find_glitches(value).any()
-    value[2000] = 0.9
-    assert np.flatnonzero(find_glitches(value)).tolist() == [2000]
+    assert 20 < np.count_nonzero(value) < 200
+    assert not find_glitches(value, 0.18).any()
+    value[2000] = 0.27
+    assert np.flatnonzero(find_glitches(value, 0.18)).tolist() == [2000]
+
+
+@pytest.mark.parametrize('count', [5, 9, 20])
+def test_equal_drop_outs_of_a_record_at_rest_are_glitches(count: int) -> None:
+    value = np.full(6000, 2.0)
+    at = np.linspace(100, 5900, count).astype(int)
+    value[at] = 0.0
+    assert np.flatnonzero(find_glitches(value)).tolist() == at.tolist()
 
 
 def test_short_records_are_left_alone() -> None:
