@@ -63,6 +63,8 @@ MAX_LOST_SHARE: Final = 0.1
 """More rows than this against the order of time are no glitch but several recordings."""
 MAX_EXAMPLES: Final = 3
 """As many faults of one kind are told with their line; the rest are counted."""
+_MANY_ROWS: Final = 30
+"""From as many rows on, decimals alike in all of them are no chance."""
 
 DEFAULT_HEIGHT: Final = 0.05
 """Original height [m] where nobody says one; heights are then relative to it."""
@@ -142,6 +144,8 @@ class Column:
         if quantity not in UNITS:
             raise UsageError(f"'{text}': there is no quantity '{quantity}'; use {_either(UNITS)}.")
         unit = _plain_unit(unit).replace('\u2212', MINUS)
+        if unit.startswith(MINUS):
+            unit = MINUS + unit.removeprefix(MINUS).lstrip()
         if unit.removeprefix(MINUS) not in UNITS[quantity]:
             raise UsageError(
                 f"'{text}': '{unit}' is no unit of {quantity}; use {_either(UNITS[quantity])}."
@@ -376,6 +380,18 @@ def _body(lines: Sequence[str], header: _Header) -> tuple[list[str], NDArray[np.
     return rows, np.array(numbers, dtype=np.int64)
 
 
+def _is_cut(text: str, rows: Sequence[str], header: _Header) -> bool:
+    """Return whether a file ends within its last row: one of its numbers may lack digits."""
+    if text.endswith(('\n', '\r')):
+        return False
+    if len(_cells(rows[-1], header.delimiter)) < len(header.names):
+        return True
+    # As many decimals in each of many rows are the program's, and fewer are not.
+    ends = (row.rpartition(header.delimiter)[2].replace(',', '.') for row in rows)
+    *whole, last = (len(cell.partition('.')[2]) for cell in ends)
+    return len(whole) >= _MANY_ROWS and len(set(whole)) == 1 and last < whole[0]
+
+
 def _fast_values(rows: Sequence[str], header: _Header, places: list[int]) -> FloatArray | None:
     """Return the cells of a file without any irregularity, shape (rows, columns), or None."""
     widths = {row.count(header.delimiter) for row in rows}
@@ -570,6 +586,10 @@ def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
     rows, numbers = _body(lines, header)
     if not rows:
         raise InputError(f'{path} has a header and no rows: there is nothing to import.')
+    cut = []
+    if _is_cut(text, rows, header):
+        cut = [f'{path}, line {numbers[-1]}: the file is cut off within this row, left out.']
+        rows, numbers = rows[:-1], numbers[:-1]
     places = [header.names.index(column.header) for column in header.columns]
     values = _fast_values(rows, header, places)
     if values is None:
@@ -588,7 +608,7 @@ def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
         delimiter=header.delimiter,
         decimal=cells.decimal,
         sha256=hashlib.sha256(data).hexdigest(),
-        warnings=(*warnings, *faults),
+        warnings=(*cut, *warnings, *faults),
     )
 
 

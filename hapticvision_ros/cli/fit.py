@@ -21,6 +21,7 @@ once so that one correction does.
 """
 
 import argparse
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 import gc
@@ -37,7 +38,7 @@ from hapticvision_ros.core.errors import InputError, UsageError
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.pipeline import CampaignAnalysis, TrialAnalysis
-    from hapticvision_ros.core.records import Estimate
+    from hapticvision_ros.core.records import Estimate, Trial
     from hapticvision_ros.report.quantities import Unit, UnitSystem
 
 _MOST_NAMED: Final = 5
@@ -299,6 +300,8 @@ def _check(args: argparse.Namespace) -> None:
         if resolved in seen:
             raise UsageError(f'{bag} is named twice: name each bag once.')
         seen.add(resolved)
+    if args.out.resolve() in seen:
+        raise UsageError(f'--out {args.out} is one of the bags: choose a folder of its own.')
 
 
 def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':
@@ -306,8 +309,8 @@ def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':
     from hapticvision_ros.bag.reader import read_trial
     from hapticvision_ros.core.pipeline import analyse
 
-    analyses, complaints = [], []
-    names: set[str] = set()
+    trials: list[tuple[Path, Trial]] = []
+    complaints = []
     seen: dict[tuple[int, bytes, bytes], Path] = {}
     for bag in bags:
         try:
@@ -322,12 +325,15 @@ def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':
             )
             continue
         seen[recording] = bag
-        if trial.name in names:
-            # Monday's first take and Tuesday's: results and warnings go by the name.
-            trial = replace(trial, name=str(bag))
-        names.add(trial.name)
+        trials.append((bag, trial))
+    names = Counter(trial.name for _, trial in trials)
+    analyses = []
+    for bag, trial in trials:
         try:
-            analyses.append(analyse(trial))
+            # Monday's first take and Tuesday's: results and warnings go by the name.
+            analyses.append(
+                analyse(replace(trial, name=str(bag)) if names[trial.name] > 1 else trial)
+            )
         except InputError as error:
             # The numerics know no files.
             complaints.append(f'{bag}: {str(error).rstrip(".")}')

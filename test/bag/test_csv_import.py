@@ -219,12 +219,27 @@ HEAD = 'time_s,force_N,displacement_mm\n'
         ),
         (
             '0,1,1\n1,2,2\n2,3,3\n3,4',
-            [0, 1, 2, 3],
             [0, 1, 2],
-            [
-                "line 5: a cell under 'displacement_mm' is not a usable number; "
-                '1 sample is left out.'
-            ],
+            [0, 1, 2],
+            ['line 5: the file is cut off within this row, left out.'],
+        ),
+        (
+            ''.join(f'{i},1,1.25\n' for i in range(40)) + '40,1,1.2',
+            list(range(40)),
+            list(range(40)),
+            ['line 42: the file is cut off within this row, left out.'],
+        ),
+        (
+            ''.join(f'{i},1,1.25\n' for i in range(40)) + '40,1,1.20',
+            list(range(41)),
+            list(range(41)),
+            [],
+        ),
+        (
+            ''.join(f'{i},1,{1 + i / 8}\n' for i in range(40)) + '40,1,6',
+            list(range(41)),
+            list(range(41)),
+            [],
         ),
         (
             ''.join(f'{i},1,1\n' for i in range(20)) + '20,1,1,7\n',
@@ -233,7 +248,10 @@ HEAD = 'time_s,force_N,displacement_mm\n'
             ['line 22: more cells than the header has; 1 row is left out.'],
         ),
     ],
-    ids=['text', 'empty', 'twice', 'glitch', 'far', 'cut', 'wide'],
+    ids=[
+        *('text', 'empty', 'twice', 'glitch', 'far', 'cut', 'cut within a number', 'no end'),
+        *('no end, digits as they come', 'wide'),
+    ],
 )
 def test_a_fault_costs_no_more_than_itself_and_is_told_with_its_line(
     tmp_path: Path,
@@ -338,6 +356,7 @@ def test_a_choice_that_means_nothing_is_refused(text: str, sentence: str) -> Non
 
 def test_a_chosen_column_may_hold_the_marks_of_the_choice_itself() -> None:
     assert Column.parse('force=F = m:a:mN') == Column('force', 'F = m:a', 'mN')
+    assert Column.parse('force=F = m:a: - mN') == Column('force', 'F = m:a', '-mN')
 
 
 def test_a_chosen_column_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -268,9 +268,30 @@ def test_bags_of_which_nothing_is_fitted_are_told_beside_what_they_tell(
     assert result['before']['parameters']['K1']['value'] is None
 
 
+def test_bags_of_one_name_are_told_apart_by_their_paths(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bags = [tmp_path / day / 'take_1' for day in ('monday', 'tuesday')]
+    for bag, original in zip(bags, (SLOW, FAST), strict=True):
+        shutil.copytree(original, bag)
+    assert _fit(*bags, '--model', 'three-element', '--out', tmp_path / 'out') == 0
+    lines = capsys.readouterr().out.splitlines()
+    for bag in bags:
+        assert any(line.startswith(f'{bag}: the three-element model misses') for line in lines)
+
+
 def test_a_bag_named_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _fit(SLOW, '--out', tmp_path, '--hold-out', SLOW.parent / '.' / SLOW.name) == 2
     assert 'named twice' in capsys.readouterr().err
+
+
+def test_nothing_is_written_into_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / 'bag'
+    shutil.copytree(SLOW, bag)
+    held = sorted(bag.iterdir())
+    assert _fit(bag, '--out', bag.parent / '.' / bag.name) == 2
+    assert 'is one of the bags: choose a folder of its own' in capsys.readouterr().err
+    assert sorted(bag.iterdir()) == held
 
 
 def test_a_copy_of_a_recording_is_no_second_one(
