@@ -292,15 +292,15 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 
 
 PLAN = (
-    '--world random --none 400 --first 66000',
+    '--world random --none 400 --first 66100',
     '--world random --scatter 0.02 --none 400 --first 48000',
-    '--world grid --seeds 2 --first 460 --r 0.3 1 0.1 0.07 0.05',
-    '--world grid --scatter 0.02 --seeds 2 --first 770 --r 0.3 1',
-    '--world grid --pairs 20 --seeds 2 --first 660 --r 0.3',
-    '--world grid --outside --seeds 2 --first 260 --r 1',
-    '--world grid --clouds --seeds 1 --first 880 --r 1',
-    '--world grid --laws --seeds 1 --first 980 --r 0.3 1 3',
-    '--world random --slow --none 60 --first 65100',
+    '--world grid --seeds 2 --first 462 --r 0.3 1 0.1 0.07 0.05',
+    '--world grid --scatter 0.02 --seeds 2 --first 774 --r 0.3 1',
+    '--world grid --pairs 20 --seeds 2 --first 674 --r 0.3',
+    '--world grid --outside --seeds 2 --first 263 --r 1',
+    '--world grid --clouds --seeds 1 --first 906 --r 1',
+    '--world grid --laws --seeds 1 --first 981 --r 0.3 1 3',
+    '--world random --slow --none 60 --first 65200',
 )
 """What the page is made of."""
 
