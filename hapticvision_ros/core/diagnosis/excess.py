@@ -372,8 +372,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
             if noise > 0.0:
                 residual /= np.sqrt(1.0 + height_blocks(full).extra / noise**2)
             # What the range sensor sees of the recovery is no silence.
-            parts = _parted(full.height_t, residual, trial, phase, after=False)
-            heights.append((trial.name, *parts))
+            quiet, loud = _parted(full.height_t, residual, trial, phase, after=False)
+            heights.append((trial.name, [] if _heights(trial) is None else quiet, loud))
     first = problem.trials[0]
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
@@ -433,12 +433,16 @@ def _before(trial: FitTrial, first: float) -> float:
 
 
 def _heights(trial: FitTrial) -> Record | None:
-    """Return the heights before the touch."""
+    """
+    Return the heights before the touch; None where they are all the same.
+
+    A height that is taken from the tool once it touches has no noise before.
+    """
     full = trial.full_rate
     count = 0
     if full.height_t.size:
         count = int(np.searchsorted(full.height_t, _before(trial, float(full.height_t[0]))))
-    if count < 2:
+    if count < 2 or np.ptp(full.height[:count]) == 0.0:
         return None
     blocks = height_blocks(full)
     early = Blocks(blocks.duration[:count], blocks.count[:count], np.zeros(count))

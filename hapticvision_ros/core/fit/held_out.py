@@ -80,6 +80,9 @@ _DOUBT: Final = 2.0
 """Standard errors by which the residual may exceed the noise before contact."""
 _LOCAL_ERROR: Final = 0.05
 """Relative error of the noise that neighbouring samples show."""
+_USUAL: Final = 0.9
+_APART: Final = 6.0
+"""Share of the samples that are like the next ones for sure, and how far others may be, in rms."""
 _ROUNDING: Final = 1e-12
 """Scatter below this share of the signal is arithmetic."""
 
@@ -372,6 +375,9 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
             count += early.size
             # A coarse sensor may read the same without contact, and rounds in it.
             rounded = in_motion(early, coarse) if coarse > 0.0 else 0.0
+            if np.ptp(early) == 0.0:
+                # As does a height that is taken from the tool once it touches.
+                rounded = max(rounded, _of_neighbours(part.residual[part.phase > 0]))
             air += max(float(noise @ noise) / (early.size - 2), rounded**2) * early.size
             doubt += early.size * _memory(noise)
     if count >= _BASELINE:
@@ -387,6 +393,15 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
     if value <= _ROUNDING * largest:
         return Estimate.unknown(f'the {what} shows no noise at all')
     return Estimate(value)
+
+
+def _of_neighbours(residual: FloatArray) -> float:
+    """Return the noise that samples show beside the next ones, of which few may stand out."""
+    if residual.size < _FEWEST:
+        return 0.0
+    apart = np.sort(np.abs(np.diff(residual)))
+    usual = np.sqrt(np.mean(apart[: int(_USUAL * apart.size)] ** 2))
+    return float(np.sqrt(0.5 * np.mean(apart[apart <= _APART * usual] ** 2)))
 
 
 def _about_a_line(value: FloatArray) -> FloatArray:

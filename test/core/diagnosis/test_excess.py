@@ -104,6 +104,25 @@ def test_a_coarse_range_sensor_that_reads_the_same_in_air_is_not_louder_in_conta
     assert heard(change=rounded) == ()
 
 
+def test_heights_that_are_taken_from_the_tool_once_it_touches_are_not_louder_for_it(
+    heard: Any,
+) -> None:
+    """Encoders of 0.02 mm that round to 0.02 mm, and one and the same height before the touch."""
+
+    def taken(trial: Trial) -> Trial:
+        height, tool = trial.displacement_height, trial.tool_height
+        assert height is not None
+        way = np.interp(height.t, tool.t, tool.value)
+        deepest = way < way.min() + 1e-4
+        depth = way.min() + float(np.median(height.value[deepest])) - way
+        seen = height.t < height.t[deepest][-1]
+        read = depth + 2e-5 * np.random.default_rng(3).standard_normal(depth.size)
+        value = np.where(depth > 0.0, np.round(read / 2e-5) * 2e-5, 0.0)
+        return replace(trial, displacement_height=Signal(height.t[seen], value[seen]))
+
+    assert heard(change=taken) == ()
+
+
 def _slow(t: Any, time: float, seed: int) -> Any:
     """Return an autoregression of unit size."""
     random = np.random.default_rng(seed)

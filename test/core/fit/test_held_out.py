@@ -162,6 +162,23 @@ def test_a_load_cell_that_rounds_by_more_than_its_noise_has_that_of_rounding(
     assert 0.5 < noise.force.value / (step / np.sqrt(12.0)) < 1.1
 
 
+def test_a_height_that_is_the_same_until_the_touch_has_the_noise_that_it_has_from_then_on(
+    campaign: list[Pair],
+) -> None:
+    taken = []
+    for trial, phases in campaign:
+        height = trial.displacement_height
+        assert height is not None and phases.t_contact is not None
+        touched = height.t > phases.t_contact
+        value = np.where(touched, np.round(height.value / 1e-5) * 1e-5, height.value[0])
+        # A reading that is astray is no noise.
+        value[np.argmax(touched) + 200] += 2e-3
+        taken.append((replace(trial, displacement_height=Signal(height.t, value)), phases))
+    found = fit(taken, YIELD)
+    noise = sample_noise(found, fitted_trials(found, taken), taken)
+    assert noise.height.value == pytest.approx(HEIGHT_NOISE, rel=0.1)
+
+
 @pytest.mark.parametrize('which', ['base', 'right'])
 def test_the_noise_is_that_of_the_sensors_whether_the_model_is_right_or_not(
     campaign: list[Pair], which: str, request: pytest.FixtureRequest
