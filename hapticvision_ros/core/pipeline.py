@@ -33,6 +33,7 @@ from hapticvision_ros.core.fit.noise import estimate_noise, Noise, pool_noise
 from hapticvision_ros.core.fit.paper import fit_paper, PaperResult
 from hapticvision_ros.core.records import Estimate, Segmentation, Trial
 from hapticvision_ros.core.segmentation import segment
+import numpy as np
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
@@ -47,6 +48,15 @@ type HeldOutBy = Literal['name', 'condition']
 """Whether trials were named to be held out, or each condition of the push was left out in turn."""
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
+TOLD_BY_THE_TOOL: Final = (
+    'The displacement height is what the tool reads while it is down and one and the same '
+    'otherwise: it is taken for the tool alone, which tells nothing of how the surface comes back.'
+)
+_SAME: Final = 1e-6
+"""Part of the depth by which what is copied may differ."""
+_MOST_OTHERS: Final = 0.01
+_FEWEST_ON_THE_WAY: Final = 16
+"""Part of the heights that may be none of both, and copies of a tool that moves at least."""
 _NAMES: Final[Mapping['Channel', str]] = MappingProxyType(
     {'force': 'force', 'height': 'displacement height'}
 )
@@ -170,8 +180,9 @@ def analyse(trial: Trial) -> TrialAnalysis:
     Segment one trial and estimate its parameters by the paper's method.
 
     Displacement heights of clouds whose surface is not where the force tells that the tool
-    presses are left out, with a warning.
+    presses are left out, with a warning. Heights that are the tool's own count as such.
     """
+    trial = _told_by_the_tool(trial)
     segmentation = segment(trial.force, trial.tool_height, trial.displacement_height)
     pressed = _without_another_surface(trial, segmentation)
     if pressed is not trial:
@@ -181,6 +192,35 @@ def analyse(trial: Trial) -> TrialAnalysis:
         segmentation=segmentation,
         paper=fit_paper(trial, segmentation),
         noise=estimate_noise(trial, segmentation),
+    )
+
+
+def _told_by_the_tool(trial: Trial) -> Trial:
+    """
+    Return a trial whose heights are known to be the tool's, if they are.
+
+    A height that copies the encoders below the original surface, noise and all, is no second
+    sensor: beside the tool it would have no error but that of the path that is laid through them.
+    """
+    heights = trial.displacement_height
+    if trial.displacement_source != 'topic' or heights is None:
+        return trial
+    tool = trial.tool_height.at(heights.t)
+    same = _SAME * float(np.ptp(heights.value))
+    down = np.abs(heights.value - heights.value[0]) > same
+    if not down.any():
+        return trial
+    level = heights.value + tool
+    copied = down & (np.abs(level - np.median(level[down])) <= same)
+    moves = np.append(np.abs(np.diff(tool)) > same, False)
+    if np.count_nonzero(copied & moves) < _FEWEST_ON_THE_WAY:
+        return trial
+    if np.count_nonzero(down & ~copied) > _MOST_OTHERS * np.count_nonzero(down):
+        return trial
+    return replace(
+        trial,
+        displacement_source='tool',
+        warnings=(*trial.warnings, TOLD_BY_THE_TOOL),
     )
 
 
