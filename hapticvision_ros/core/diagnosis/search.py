@@ -107,6 +107,8 @@ _OTHER_OBJECTS: Final = 0.2
 """Scatter of repeats from which on they are of more than one object, or change by an effect."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
+_STANDS_FOR: Final = 0.9
+"""Part of the gain of stamps that are late from which on another effect may be what they show."""
 _OPEN: Final = 0.7
 """Part of a leader's gain from which on another may lead without some of the trials."""
 _ARM_STEPS: Final = np.array([0.2, 0.2, 0.4, 0.2])
@@ -206,14 +208,20 @@ def diagnose(
             dated=True,
             servo=servo,
         )
+        # What the stamps stand for as well is no more to be seen once they are moved.
+        stood_for = tuple(n for n in outcome.stood_for if n not in again.effects)
+        said = (
+            f"the stamps of the tool's height are {1e3 * outcome.late:.4g} ms late against "
+            'those of the force in all trials: they were moved back by that'
+        )
+        if stood_for:
+            said += f' ({" or ".join(stood_for)} would show much the same in these trials)'
         return replace(
             again,
             late=outcome.late,
-            warnings=(
-                f"the stamps of the tool's height are {1e3 * outcome.late:.4g} ms late against "
-                'those of the force in all trials: they were moved back by that',
-                *again.warnings,
-            ),
+            not_testable=tuple(dict.fromkeys((*stood_for, *again.not_testable))),
+            ranking=tuple(each for each in again.ranking if each.effect not in stood_for),
+            warnings=(said, *again.warnings),
         )
     if arm is not None and servo is None and (outcome.effects or outcome.rest):
         otherwise = _otherwise(trials, prepared, before, outcome, workers, arm, corners)
@@ -546,6 +554,7 @@ class _Outcome:
     chosen: Refit
     scatter: FloatArray | None
     late: float = 0.0
+    stood_for: tuple[str, ...] = ()
     rounds: tuple[Round, ...] = ()
     rest: tuple[Found, ...] = ()
 
@@ -672,6 +681,7 @@ class _Search:
                 unexplained = self._differing(bench, plain, base, chosen, size)
         alike = pairs(bench, base, rounds[0].candidates, order)
         not_testable = (*(n for n in hidden if n not in _named(order)), LOAD_CELL_GAIN)
+        late, stood_for = _late(rounds, order)
         return _Outcome(
             status=status,
             effects=_named(order),
@@ -686,7 +696,8 @@ class _Search:
             warnings=tuple(self.warnings),
             chosen=chosen,
             scatter=scattered,
-            late=_late(rounds, order),
+            late=late,
+            stood_for=stood_for,
             rounds=rounds,
             rest=rest,
         )
@@ -1035,17 +1046,24 @@ def _differ(size: float, scatter: Scatter | None) -> str:
     )
 
 
-def _late(rounds: Sequence[Round], order: Sequence[str]) -> float:
-    """Return how late the stamps of the tool's height are, as they came to be said to be [s]."""
+def _late(rounds: Sequence[Round], order: Sequence[str]) -> tuple[float, tuple[str, ...]]:
+    """
+    Return how late the stamps of the tool's height are, as they came to be said to be [s].
+
+    And the effects that explain nearly as much, which the stamps may stand for.
+    """
     for each in rounds:
         if not each.alike or each.alike[0] not in order or not BY_NAME[each.alike[0]].misdates:
             continue
         # What is accepted beside it may take some of it, or of what it stands for.
-        leader = next(one.refit for one in each.candidates if one.effect == each.alike[0])
-        if leader is not None:
-            (place,) = places_of(leader.model, [each.alike[0]])
-            return float(leader.model.values(leader.theta)[place])
-    return 0.0
+        leader = next(one for one in each.candidates if one.effect == each.alike[0])
+        if leader.refit is not None:
+            model = leader.refit.model
+            (place,) = places_of(model, [leader.effect])
+            near = [one.effect for one in each.candidates if one.gain > _STANDS_FOR * leader.gain]
+            others = _named([n for n in (*each.alike, *near) if n not in order])
+            return float(model.values(leader.refit.theta)[place]), others
+    return 0.0, ()
 
 
 def _named(effects: Sequence[str]) -> tuple[str, ...]:

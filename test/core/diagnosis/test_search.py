@@ -258,9 +258,19 @@ def test_stamps_of_the_arm_that_are_late_are_moved_and_no_effect(world: Any) -> 
     assert told is not None
     assert float(told.group(1)) == pytest.approx(8.0, abs=0.2)
     assert 'arm_clock_offset' not in found.not_testable
+    assert 'inertia' not in found.not_testable
     body = measured.truth.body
     off = np.exp(found.before.theta[:3]) / [body.K1, body.C1, body.C2] - 1.0
     assert np.abs(off).max() < 0.01
+
+
+def test_what_stamps_that_are_a_little_late_may_stand_for_is_told(world: Any) -> None:
+    """A mass makes the force of a speed that is off for a moment, as they do."""
+    found = diagnose(_late(world, 0.001).pairs)
+    assert found.late == pytest.approx(0.001, abs=2e-4)
+    assert (found.status, found.not_testable[0]) == ('none', 'inertia')
+    assert 'inertia would show much the same' in found.warnings[0]
+    assert 'inertia' not in [each.effect for each in found.ranking]
 
 
 @pytest.mark.parametrize('effects', [(), ('clock_offset',)], ids=['none', 'late'])
