@@ -65,6 +65,8 @@ MAX_EXAMPLES: Final = 3
 """As many faults of one kind are told with their line; the rest are counted."""
 _MANY_ROWS: Final = 30
 """From as many rows on, decimals alike in all of them are no chance."""
+_LOOKED_AT: Final = 1000
+"""Last rows that are looked at for that."""
 
 DEFAULT_HEIGHT: Final = 0.05
 """Original height [m] where nobody says one; heights are then relative to it."""
@@ -380,16 +382,21 @@ def _body(lines: Sequence[str], header: _Header) -> tuple[list[str], NDArray[np.
     return rows, np.array(numbers, dtype=np.int64)
 
 
-def _is_cut(text: str, rows: Sequence[str], header: _Header) -> bool:
-    """Return whether a file ends within its last row: one of its numbers may lack digits."""
-    if text.endswith(('\n', '\r')):
+def _is_cut(rows: Sequence[str], delimiter: str) -> bool:
+    """Return whether the last row, which has no end, is cut: one of its numbers lacks digits."""
+    *whole, last = ([cell.replace(',', '.') for cell in _cells(r, delimiter)] for r in rows)
+    widths = {len(cells) for cells in whole}
+    if len(widths) != 1 or not _NUMBER.fullmatch(last[0]):
         return False
-    if len(_cells(rows[-1], header.delimiter)) < len(header.names):
-        return True
-    # As many decimals in each of many rows are the program's, and fewer are not.
-    ends = (row.rpartition(header.delimiter)[2].replace(',', '.') for row in rows)
-    *whole, last = (len(cell.partition('.')[2]) for cell in ends)
-    return len(whole) >= _MANY_ROWS and len(set(whole)) == 1 and last < whole[0]
+    (width,) = widths
+    if len(last) != width:
+        return len(last) < width
+    # As many decimals in each of many rows are the program's, unless they are of one number.
+    ends = {cells[-1] for cells in whole}
+    decimals = {len(end.partition('.')[2]) for end in ends}
+    if len(whole) < _MANY_ROWS or len(ends) < 2 or len(decimals) != 1:
+        return False
+    return len(last[-1].partition('.')[2]) < decimals.pop()
 
 
 def _fast_values(rows: Sequence[str], header: _Header, places: list[int]) -> FloatArray | None:
@@ -587,7 +594,9 @@ def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
     if not rows:
         raise InputError(f'{path} has a header and no rows: there is nothing to import.')
     cut = []
-    if _is_cut(text, rows, header):
+    count = len(rows)
+    at_the_end = numbers[-1] == len(lines) and not text.endswith(('\n', '\r'))
+    if at_the_end and count > 1 and _is_cut(rows[-_LOOKED_AT:], header.delimiter):
         cut = [f'{path}, line {numbers[-1]}: the file is cut off within this row, left out.']
         rows, numbers = rows[:-1], numbers[:-1]
     places = [header.names.index(column.header) for column in header.columns]
@@ -603,7 +612,7 @@ def read_csv(path: Path, choices: Sequence[Column] = ()) -> Measurement:
     return Measurement(
         signals=signals,
         columns=header.columns,
-        row_count=len(rows),
+        row_count=count,
         encoding=encoding,
         delimiter=header.delimiter,
         decimal=cells.decimal,

@@ -300,8 +300,10 @@ def _check(args: argparse.Namespace) -> None:
         if resolved in seen:
             raise UsageError(f'{bag} is named twice: name each bag once.')
         seen.add(resolved)
-    if args.out.resolve() in seen:
-        raise UsageError(f'--out {args.out} is one of the bags: choose a folder of its own.')
+    out = args.out.resolve()
+    for folder in (out, *out.parents):
+        if (folder / 'metadata.yaml').is_file() and any(folder.glob('*.mcap')):
+            raise UsageError(f'--out {args.out} is in the bag {folder}: choose another folder.')
 
 
 def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':

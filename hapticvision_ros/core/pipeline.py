@@ -49,14 +49,17 @@ type HeldOutBy = Literal['name', 'condition']
 
 MODEL_FIXED: Final = 'the model was fixed, so nothing was looked for that it may lack'
 TOLD_BY_THE_TOOL: Final = (
-    'The displacement height is what the tool reads while it is down and one and the same '
-    'otherwise: it is taken for the tool alone, which tells nothing of how the surface comes back.'
+    "The displacement height is what the tool reads while it is down: it is taken for the tool's "
+    'own, which tells nothing of the surface where the tool is not on it.'
 )
 _SAME: Final = 1e-6
-"""Part of the depth by which what is copied may differ."""
+"""Part of the tool's way by which what is copied may differ."""
 _MOST_OTHERS: Final = 0.01
+"""Part of the heights of a tool that is down that may be no copies."""
 _FEWEST_ON_THE_WAY: Final = 16
-"""Part of the heights that may be none of both, and copies of a tool that moves at least."""
+"""Copies of a tool that moves, at least."""
+_RECOVERS: Final = 4
+"""Heights after the last copy, from which on the surface is seen to come back."""
 _NAMES: Final[Mapping['Channel', str]] = MappingProxyType(
     {'force': 'force', 'height': 'displacement height'}
 )
@@ -205,17 +208,20 @@ def _told_by_the_tool(trial: Trial) -> Trial:
     heights = trial.displacement_height
     if trial.displacement_source != 'topic' or heights is None:
         return trial
-    tool = trial.tool_height.at(heights.t)
-    same = _SAME * float(np.ptp(heights.value))
-    down = np.abs(heights.value - heights.value[0]) > same
-    if not down.any():
+    if min(len(heights), len(trial.tool_height)) < _FEWEST_ON_THE_WAY:
         return trial
+    tool = trial.tool_height.at(heights.t)
+    # One reading far off is no way.
+    same = _SAME * float(np.ptp(np.quantile(tool, [0.01, 0.99])))
+    down = np.abs(heights.value - heights.value[0]) > same
     level = heights.value + tool
-    copied = down & (np.abs(level - np.median(level[down])) <= same)
+    copied = down & (np.abs(level - np.median(level[down])) <= same) if down.any() else down
     moves = np.append(np.abs(np.diff(tool)) > same, False)
     if np.count_nonzero(copied & moves) < _FEWEST_ON_THE_WAY:
         return trial
-    if np.count_nonzero(down & ~copied) > _MOST_OTHERS * np.count_nonzero(down):
+    others = np.flatnonzero(down & ~copied)
+    after = np.count_nonzero(others > np.flatnonzero(copied)[-1])
+    if others.size > _MOST_OTHERS * np.count_nonzero(down) or after >= _RECOVERS:
         return trial
     return replace(
         trial,

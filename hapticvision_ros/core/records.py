@@ -133,7 +133,7 @@ class Trial:
         pressed in. None if it was neither recorded nor to be had from the clouds.
     displacement_source : {'topic', 'points', 'tool', 'none'}
         Where H comes from: its own topic, the clouds, or only the tool ('tool': the importer's
-        case of one displacement for both, true while they touch).
+        case of one displacement for both, or heights that copy the tool's; true while they touch).
     push_velocity : Signal or None
         Commanded speed along the push [m/s], positive toward the object.
     phases : tuple of (float, str)

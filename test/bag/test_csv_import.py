@@ -224,13 +224,13 @@ HEAD = 'time_s,force_N,displacement_mm\n'
             ['line 5: the file is cut off within this row, left out.'],
         ),
         (
-            ''.join(f'{i},1,1.25\n' for i in range(40)) + '40,1,1.2',
+            ''.join(f'{i},1,{1 + i / 100:.2f}\n' for i in range(40)) + '40,1,1.4',
             list(range(40)),
             list(range(40)),
             ['line 42: the file is cut off within this row, left out.'],
         ),
         (
-            ''.join(f'{i},1,1.25\n' for i in range(40)) + '40,1,1.20',
+            ''.join(f'{i},1,{1 + i / 100:.2f}\n' for i in range(40)) + '40,1,1.40',
             list(range(41)),
             list(range(41)),
             [],
@@ -265,6 +265,53 @@ def test_a_fault_costs_no_more_than_itself_and_is_told_with_its_line(
     assert read.signals['force'].t.tolist() == force_t
     assert read.signals['displacement'].t.tolist() == displacement_t
     assert list(read.warnings) == [f'{path}, {warning}' for warning in warnings]
+
+
+@pytest.mark.parametrize(
+    ('header', 'rows', 'last'),
+    [
+        (HEAD[:-1] + ',\n', '{i},1,{h:.2f}\n', '40,1,1.40'),
+        (HEAD[:-1] + ',comment\n', '{i},1,{h:.2f}\n', '40,1,1.40'),
+        (HEAD, '{i},1,{h:.2f} \n', '40,1,1.40'),
+        (HEAD, '{i},1,{h:.2f}\n', '40,1,1.40\n# end'),
+        (HEAD, '{i},1,1.25\n', '40,1,1.3'),
+        ('time_s;force_N;displacement_mm\n', '{i};1;{c}\n', '40;1;1,40'),
+    ],
+    ids=['delimiter', 'comment', 'blank', 'end', 'constant', 'comma'],
+)
+def test_a_last_row_without_an_end_may_be_whole(
+    tmp_path: Path, header: str, rows: str, last: str
+) -> None:
+    lines = (
+        rows.format(i=i, h=1 + i / 100, c=f'{1 + i / 100:.2f}'.replace('.', ','))
+        for i in range(40)
+    )
+    read = read_csv(_file(tmp_path, header + ''.join(lines) + last))
+    assert read.signals['displacement'].t[-1] == 40.0
+    assert read.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ('rows', 'last'),
+    [('{i},1,{c},\n', '40,1,1.4'), ('{i};1;"{d}"\n', '40;1;"1,4'), ('{i},1,{c}\r', '40,1')],
+    ids=['delimiter', 'quotes', 'carriage return'],
+)
+def test_a_row_that_is_cut_is_found_in_any_dialect(tmp_path: Path, rows: str, last: str) -> None:
+    header = HEAD if ';' not in rows else HEAD.replace(',', ';')
+    made = ''
+    for i in range(40):
+        value = f'{1 + i / 100:.2f}'
+        made += rows.format(i=i, c=value, d=value.replace('.', ','))
+    read = read_csv(_file(tmp_path, header + made + last))
+    assert read.signals['displacement'].t[-1] == 39.0
+    assert 'cut off within this row' in read.warnings[0]
+    assert read.row_count == 41
+
+
+def test_a_footer_is_no_row_that_is_cut(tmp_path: Path) -> None:
+    read = read_csv(_file(tmp_path, HEAD + '0,1,1\n1,1,2\nEnd of test'))
+    assert read.signals['displacement'].t.tolist() == [0.0, 1.0]
+    assert not any('cut off' in warning for warning in read.warnings)
 
 
 @pytest.mark.parametrize(

@@ -289,8 +289,9 @@ def test_nothing_is_written_into_a_bag(tmp_path: Path, capsys: pytest.CaptureFix
     bag = tmp_path / 'bag'
     shutil.copytree(SLOW, bag)
     held = sorted(bag.iterdir())
-    assert _fit(bag, '--out', bag.parent / '.' / bag.name) == 2
-    assert 'is one of the bags: choose a folder of its own' in capsys.readouterr().err
+    for out in (bag, bag / 'results', tmp_path / 'other' / '..' / 'bag'):
+        assert _fit(SLOW, '--out', out) == 2
+        assert f'is in the bag {bag}: choose another folder' in capsys.readouterr().err
     assert sorted(bag.iterdir()) == held
 
 

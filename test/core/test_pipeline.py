@@ -74,3 +74,54 @@ def test_a_height_that_shows_the_recovery_is_no_copy(pushed: Trial) -> None:
     up = (copied.value == 0.0) & (copied.t > copied.t[np.argmax(copied.value)])
     both = Signal(copied.t, np.where(up, recovers, copied.value))
     assert analyse(replace(pushed, displacement_height=both)).trial.displacement_source == 'topic'
+
+
+def test_a_reading_far_off_makes_no_copies(pushed: Trial) -> None:
+    """A range finder that sees nothing now and then."""
+    own = _copied(pushed, own_noise=0.15 * NOISE, until_loss=True)
+    height = own.displacement_height
+    assert height is not None
+    value = height.value.copy()
+    value[len(value) // 2] = 3.0
+    far = analyse(replace(own, displacement_height=Signal(height.t, value)))
+    assert far.trial.displacement_source == 'topic'
+
+
+def test_a_height_that_goes_its_own_way_for_a_while_is_no_copy(pushed: Trial) -> None:
+    height = _copied(pushed).displacement_height
+    assert height is not None
+    down = np.flatnonzero(height.value > 0.0)
+    first, last = down[[down.size // 2, down.size * 11 // 20]]
+    value = height.value.copy()
+    value[first:last] -= 1e-4
+    made = analyse(replace(pushed, displacement_height=Signal(height.t, value)))
+    assert made.trial.displacement_source == 'topic'
+
+
+def test_a_recovery_that_is_hardly_seen_is_one(pushed: Trial) -> None:
+    shown = _copied(pushed, until_loss=True).displacement_height
+    assert shown is not None
+    t = shown.t[-1] + 0.004 * np.arange(1, 6)
+    late = Signal(np.append(shown.t, t), np.append(shown.value, np.full(5, 0.001)))
+    assert len(late) > 600
+    made = analyse(replace(pushed, displacement_height=late))
+    assert made.trial.displacement_source == 'topic'
+
+
+def test_heights_that_rest_with_the_tool_are_no_copies(pushed: Trial) -> None:
+    """Both read the same for as long as the tool is held."""
+    shown, phases = _copied(pushed).displacement_height, analyse(pushed).segmentation
+    assert shown is not None and phases.t_hold is not None
+    held = shown.between(phases.t_hold + 0.5, phases.t_hold + 3.0)
+    tool = pushed.tool_height
+    steady = np.where((tool.t > held.t[0]) & (tool.t < held.t[-1]), tool.value.min(), tool.value)
+    still = Signal(held.t, np.full(len(held), float(held.value.mean())))
+    start = Signal(np.append(0.0, still.t), np.append(0.0, still.value))
+    trial = replace(pushed, tool_height=Signal(tool.t, steady), displacement_height=start)
+    assert analyse(trial).trial.displacement_source == 'topic'
+
+
+def test_a_height_without_samples_is_none_to_compare(pushed: Trial) -> None:
+    nothing = Signal(np.empty(0), np.empty(0))
+    made = analyse(replace(pushed, displacement_height=nothing))
+    assert made.trial.displacement_source == 'topic'

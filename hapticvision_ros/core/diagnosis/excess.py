@@ -29,7 +29,7 @@ from typing import Final, Literal, NamedTuple
 from hapticvision_ros.core.diagnosis.refit import Refit
 from hapticvision_ros.core.fit.campaign import calm, height_blocks, quietest, without_contact
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.noise import in_motion, rounding
+from hapticvision_ros.core.fit.noise import in_motion, of_neighbours, rounding
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     deviance,
@@ -372,8 +372,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
             if noise > 0.0:
                 residual /= np.sqrt(1.0 + height_blocks(full).extra / noise**2)
             # What the range sensor sees of the recovery is no silence.
-            quiet, loud = _parted(full.height_t, residual, trial, phase, after=False)
-            heights.append((trial.name, [] if _heights(trial) is None else quiet, loud))
+            parts = _parted(full.height_t, residual, trial, phase, after=False)
+            heights.append((trial.name, *parts))
     first = problem.trials[0]
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
@@ -433,16 +433,12 @@ def _before(trial: FitTrial, first: float) -> float:
 
 
 def _heights(trial: FitTrial) -> Record | None:
-    """
-    Return the heights before the touch; None where they are all the same.
-
-    A height that is taken from the tool once it touches has no noise before.
-    """
+    """Return the heights before the touch."""
     full = trial.full_rate
     count = 0
     if full.height_t.size:
         count = int(np.searchsorted(full.height_t, _before(trial, float(full.height_t[0]))))
-    if count < 2 or np.ptp(full.height[:count]) == 0.0:
+    if count < 2:
         return None
     blocks = height_blocks(full)
     early = Blocks(blocks.duration[:count], blocks.count[:count], np.zeros(count))
@@ -524,7 +520,7 @@ def _held(
 ) -> Excess | None:
     """Return by how much a channel is louder in contact, if it is or goes on for longer."""
     # Of each trial, as a sensor may be noisier in one, in the air as well.
-    levels = [_level(each[1], coarse) for each in parts]
+    levels = [_level(quiet, loud, coarse) for _, quiet, loud in parts]
     size = sum(count for _, count in levels)
     told = math.sqrt(sum(count * level**2 for level, count in levels) / max(size, 1))
     whole = np.concatenate([np.empty(0), *(each[2] for each in parts)])
@@ -559,12 +555,15 @@ def _held(
     return Excess(channel, ratio, name, worst, memory)
 
 
-def _level(parts: Sequence[FloatArray], coarse: float) -> tuple[float, int]:
+def _level(parts: Sequence[FloatArray], loud: FloatArray, coarse: float) -> tuple[float, int]:
     """Return the noise of a sensor that what is seen of it at rest tells, and from how many."""
     size = sum(part.size for part in parts)
     squares = 0.0
     for part in parts:
         # A coarse sensor may read the same at rest, and rounds in motion.
         told = in_motion(part, coarse) if coarse > 0.0 else 0.0
+        if np.ptp(part) == 0.0:
+            # A height that is taken from the tool once it touches shows its noise in contact.
+            told = max(told, of_neighbours(loud))
         squares += max(float(part @ part), part.size * told**2)
     return math.sqrt(squares / max(size, 1)), size

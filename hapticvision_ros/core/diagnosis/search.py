@@ -209,7 +209,8 @@ def diagnose(
             servo=servo,
         )
         # What the stamps stand for as well is no more to be seen once they are moved.
-        stood_for = tuple(n for n in outcome.stood_for if n not in again.effects)
+        named = {name for each in again.sets for name in each}
+        stood_for = tuple(name for name in outcome.stood_for if name not in named)
         said = (
             f"the stamps of the tool's height are {1e3 * outcome.late:.4g} ms late against "
             'those of the force in all trials: they were moved back by that'
@@ -220,7 +221,6 @@ def diagnose(
             again,
             late=outcome.late,
             not_testable=tuple(dict.fromkeys((*stood_for, *again.not_testable))),
-            ranking=tuple(each for each in again.ranking if each.effect not in stood_for),
             warnings=(said, *again.warnings),
         )
     if arm is not None and servo is None and (outcome.effects or outcome.rest):
@@ -1060,7 +1060,11 @@ def _late(rounds: Sequence[Round], order: Sequence[str]) -> tuple[float, tuple[s
         if leader.refit is not None:
             model = leader.refit.model
             (place,) = places_of(model, [leader.effect])
-            near = [one.effect for one in each.candidates if one.gain > _STANDS_FOR * leader.gain]
+            near = [
+                one.effect
+                for one in each.candidates
+                if one.refit is not None and one.gain > _STANDS_FOR * leader.gain
+            ]
             others = _named([n for n in (*each.alike, *near) if n not in order])
             return float(model.values(leader.refit.theta)[place]), others
     return 0.0, ()

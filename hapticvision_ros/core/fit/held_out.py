@@ -59,7 +59,14 @@ from hapticvision_ros.core.fit.data import (
     reads_at_moments,
 )
 from hapticvision_ros.core.fit.least_squares import minimise
-from hapticvision_ros.core.fit.noise import estimate_noise, in_motion, Noise, pool_noise, rounding
+from hapticvision_ros.core.fit.noise import (
+    estimate_noise,
+    in_motion,
+    Noise,
+    of_neighbours,
+    pool_noise,
+    rounding,
+)
 from hapticvision_ros.core.records import Estimate, FloatArray, Segmentation, Signal, Trial
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +87,6 @@ _DOUBT: Final = 2.0
 """Standard errors by which the residual may exceed the noise before contact."""
 _LOCAL_ERROR: Final = 0.05
 """Relative error of the noise that neighbouring samples show."""
-_USUAL: Final = 0.9
-_APART: Final = 6.0
-"""Share of the samples that are like the next ones for sure, and how far others may be, in rms."""
 _ROUNDING: Final = 1e-12
 """Scatter below this share of the signal is arithmetic."""
 
@@ -323,8 +327,9 @@ def sample_noise(
 
     It is the root mean square residual of the fit, unless that exceeds the noise before contact,
     where the model cannot be wrong, by more than two standard errors: then it is the noise before
-    contact. Where the records show nothing before contact, the scatter between neighbouring
-    samples (`hapticvision_ros.core.fit.noise`) takes its place, which does not see slow noise.
+    contact. Where the records show nothing before contact, or one and the same reading, the
+    scatter between neighbouring samples (`hapticvision_ros.core.fit.noise`) takes its place, which
+    does not see slow noise.
 
     Parameters
     ----------
@@ -377,7 +382,7 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
             rounded = in_motion(early, coarse) if coarse > 0.0 else 0.0
             if np.ptp(early) == 0.0:
                 # As does a height that is taken from the tool once it touches.
-                rounded = max(rounded, _of_neighbours(part.residual[part.phase > 0]))
+                rounded = max(rounded, of_neighbours(part.residual[part.phase > 0]))
             air += max(float(noise @ noise) / (early.size - 2), rounded**2) * early.size
             doubt += early.size * _memory(noise)
     if count >= _BASELINE:
@@ -393,15 +398,6 @@ def _level(parts: Sequence[Residuals], local: Estimate, what: str) -> Estimate:
     if value <= _ROUNDING * largest:
         return Estimate.unknown(f'the {what} shows no noise at all')
     return Estimate(value)
-
-
-def _of_neighbours(residual: FloatArray) -> float:
-    """Return the noise that samples show beside the next ones, of which few may stand out."""
-    if residual.size < _FEWEST:
-        return 0.0
-    apart = np.sort(np.abs(np.diff(residual)))
-    usual = np.sqrt(np.mean(apart[: int(_USUAL * apart.size)] ** 2))
-    return float(np.sqrt(0.5 * np.mean(apart[apart <= _APART * usual] ** 2)))
 
 
 def _about_a_line(value: FloatArray) -> FloatArray:

@@ -43,6 +43,8 @@ _WHOLE: Final = 0.05
 """Of a step of a reading, by which what is called a multiple of it may be off."""
 _MULTIPLES: Final = 4
 """Different multiples, fewer of which a tool with a few speeds shows without any rounding."""
+_AGAINST: Final = -0.1
+"""Covariance of two changes in a row over the variance, below which it is noise; white: -0.5."""
 _FEWEST_STEPS: Final = 16
 _FEWEST_TURNS: Final = 3
 """Times that a quick tool goes on by a step more or less; fewer are chance."""
@@ -144,6 +146,29 @@ def rounding(value: FloatArray) -> float:
             step, _, turns = _step(changes, float(apart.min()))
             step = step if turns >= _FEWEST_TURNS else 0.0
     return step / math.sqrt(12.0)
+
+
+def of_neighbours(residual: FloatArray) -> float:
+    """
+    Return the noise that samples show beside the next ones.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n,)
+        What a model leaves of a reading.
+
+    Returns
+    -------
+    float
+        Standard deviation [unit of `residual`]; zero where one change tells the next, as of what
+        is missed smoothly.
+
+    """
+    changes = np.diff(residual)
+    power = float(changes @ changes)
+    if changes.size < _FEWEST_STEPS or float(changes[1:] @ changes[:-1]) > _AGAINST * power:
+        return 0.0
+    return math.sqrt(0.5 * power / changes.size)
 
 
 def in_motion(still: FloatArray, error: float) -> float:

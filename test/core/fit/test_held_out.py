@@ -171,8 +171,6 @@ def test_a_height_that_is_the_same_until_the_touch_has_the_noise_that_it_has_fro
         assert height is not None and phases.t_contact is not None
         touched = height.t > phases.t_contact
         value = np.where(touched, np.round(height.value / 1e-5) * 1e-5, height.value[0])
-        # A reading that is astray is no noise.
-        value[np.argmax(touched) + 200] += 2e-3
         taken.append((replace(trial, displacement_height=Signal(height.t, value)), phases))
     found = fit(taken, YIELD)
     noise = sample_noise(found, fitted_trials(found, taken), taken)

@@ -14,7 +14,7 @@
 
 """What a sensor rounds is told from its readings."""
 
-from hapticvision_ros.core.fit.noise import in_motion, rounding
+from hapticvision_ros.core.fit.noise import in_motion, of_neighbours, rounding
 import numpy as np
 import pytest
 
@@ -101,3 +101,13 @@ def test_a_drift_and_a_glitch_at_rest_are_no_noise(drift: float, glitch: float) 
     assert in_motion(still, 1.0 / np.sqrt(12.0)) == pytest.approx(
         np.hypot(0.25, 1.0 / np.sqrt(12.0)), rel=seen
     )
+
+
+def test_neighbours_tell_noise_and_nothing_of_what_is_missed_smoothly() -> None:
+    noise = 3e-5 * np.random.default_rng(4).standard_normal(4000)
+    missed = 1e-3 * np.sin(np.linspace(0.0, 9.0, 4000))
+    assert of_neighbours(noise) == pytest.approx(3e-5, rel=0.05)
+    assert of_neighbours(missed + noise) == pytest.approx(3e-5, rel=0.05)
+    assert of_neighbours(missed) == 0.0
+    assert of_neighbours(noise[:9]) == 0.0
+    assert of_neighbours(np.zeros(100)) == 0.0
