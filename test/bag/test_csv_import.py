@@ -273,11 +273,13 @@ def test_a_fault_costs_no_more_than_itself_and_is_told_with_its_line(
         (HEAD[:-1] + ',\n', '{i},1,{h:.2f}\n', '40,1,1.40'),
         (HEAD[:-1] + ',comment\n', '{i},1,{h:.2f}\n', '40,1,1.40'),
         (HEAD, '{i},1,{h:.2f} \n', '40,1,1.40'),
-        (HEAD, '{i},1,{h:.2f}\n', '40,1,1.40\n# end'),
+        (HEAD, '{i},1,{h:.2f}\n', '40,1,1.4\n# end'),
+        (HEAD, '{i},1,{h:.2f}\r', '40,1,1.4\r'),
+        (HEAD[:-1] + ',comment\n-1,1,1,start\n', '{i},1,{h:.2f}\n', '40,1,1.4'),
         (HEAD, '{i},1,1.25\n', '40,1,1.3'),
         ('time_s;force_N;displacement_mm\n', '{i};1;{c}\n', '40;1;1,40'),
     ],
-    ids=['delimiter', 'comment', 'blank', 'end', 'constant', 'comma'],
+    ids=['delimiter', 'comment', 'blank', 'end', 'return', 'ragged', 'constant', 'comma'],
 )
 def test_a_last_row_without_an_end_may_be_whole(
     tmp_path: Path, header: str, rows: str, last: str

@@ -107,7 +107,7 @@ _OTHER_OBJECTS: Final = 0.2
 """Scatter of repeats from which on they are of more than one object, or change by an effect."""
 _FORM: Final = 0.15
 """A rest below this share of the strongest effect may be its form, which is never exact."""
-_STANDS_FOR: Final = 0.9
+_STANDS_FOR: Final = 0.95
 """Part of the gain of stamps that are late from which on another effect may be what they show."""
 _OPEN: Final = 0.7
 """Part of a leader's gain from which on another may lead without some of the trials."""

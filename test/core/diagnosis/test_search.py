@@ -272,6 +272,33 @@ def test_what_stamps_that_are_a_little_late_may_stand_for_is_told(world: Any) ->
     assert 'inertia would show much the same' in found.warnings[0]
 
 
+@pytest.mark.parametrize(
+    ('alike', 'gains', 'others'),
+    [
+        (('arm_clock_offset',), (1000.0, 970.0, 990.0, 900.0), ('inertia',)),
+        (('arm_clock_offset', 'inertia'), (30.0, 22.0, 29.0, 0.0), ('inertia',)),
+        (('arm_clock_offset',), (1000.0, 900.0, 990.0, 900.0), ()),
+    ],
+)
+def test_what_explains_nearly_as_much_is_what_late_stamps_may_stand_for(
+    alike: tuple[str, ...], gains: tuple[float, ...], others: tuple[str, ...]
+) -> None:
+    model = Model(('arm_clock_offset',))
+    theta = model.theta(np.array([1000.0, 900.0, 1600.0, 1e-3]))
+    refit = SimpleNamespace(model=model, theta=theta)
+    tried: list[Any] = [
+        # One that was not fitted has a promise for its gain.
+        SimpleNamespace(effect=name, gain=gain, refit=None if name == 'friction' else refit)
+        for name, gain in zip(
+            ('arm_clock_offset', 'inertia', 'friction', 'springpot'), gains, strict=True
+        )
+    ]
+    made: Any = SimpleNamespace(alike=alike, candidates=tried)
+    late, found = search._late([made], ['arm_clock_offset'])
+    assert late == pytest.approx(1e-3)
+    assert found == others
+
+
 @pytest.mark.parametrize('effects', [(), ('clock_offset',)], ids=['none', 'late'])
 def test_heights_whose_stamps_are_off_by_chance_are_no_clock_that_is(
     effects: tuple[str, ...], world: Any
@@ -686,6 +713,7 @@ def test_late_stamps_are_told_from_a_mass_where_the_tool_comes_again(world: Any)
     found = diagnose(stepping(world, back=0.003, late=1e-3).pairs)
     assert found.late == pytest.approx(1e-3, rel=0.1)
     assert found.effects == ()
+    assert 'inertia' not in found.not_testable
     found = diagnose(stepping(world, Undeclared('inertia', (0.5,)), back=0.003).pairs)
     assert found.late == 0.0
     assert found.sets == (('inertia',),)
