@@ -57,7 +57,7 @@ def test_a_height_that_copies_the_tool_is_the_tools(pushed: Trial, until_loss: b
     assert made.trial.displacement_source == 'tool'
     assert TOLD_BY_THE_TOOL in made.warnings
     assert not made.paper.H0.known
-    assert made.paper.H0.reason == 'only the tool was recorded, and it left the object'
+    assert made.paper.H0.reason == "there is no height but the tool's, and it left the object"
 
 
 def test_a_height_of_a_sensor_of_its_own_stays_one(pushed: Trial) -> None:

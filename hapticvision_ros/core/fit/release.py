@@ -45,7 +45,7 @@ def start_of_recovery(
     held = float(np.median(before.value)) - segmentation.force_zero if len(before) else kept
     if kept <= max(3.0 * spread, 0.005 * held):
         return None, (
-            'only the tool was recorded, and it left the object'
+            "there is no height but the tool's, and it left the object"
             if only_tool
             else 'the loss of contact was not found'
         )

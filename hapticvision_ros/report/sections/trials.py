@@ -112,8 +112,8 @@ def _height_words(one: Shown, units: UnitSystem) -> str:
         return 'The displacement height was not recorded: only the tool is shown.'
     if source == 'tool':
         return (
-            'Displacement against time: only the tool was recorded, which is the object where '
-            'they touch.'
+            "Displacement against time: there is no height but the tool's, which is the object's "
+            'where they touch.'
         )
     words = 'Displacement height against time, and what the fits leave.'
     return words + _missed(one, 'height', units)
