@@ -468,12 +468,45 @@ class ToolPath:
         """Return when the tool's speed changes [s]."""
         if self.still < math.inf:
             gaps = np.diff(self.t)
-            slope = np.diff(self.displacement) / gaps
             turns = np.minimum(gaps[1:], gaps[:-1]) < self.still
-            turns |= np.abs(np.diff(slope)) > _HELD * float(np.abs(slope).max())
-            return list(self.t[1:-1][turns])
+            return list(self.t[1:-1][turns | self._sharp])
         edges = [edge for bend in self.bends for edge in (bend.start, bend.stop)]
         return [*self.t.tolist(), *edges]
+
+    @property
+    def is_curved(self) -> bool:
+        """Return whether the corners follow a curve: of most of them the tool knows nothing."""
+        return self.t.size > 4 * _MOST_PIECES or self.still < math.inf
+
+    @property
+    def jerks(self) -> list[float]:
+        """Return those of the events that are at once, as hardly any is along a curve [s]."""
+        return list(self.t[1:-1][self._sharp]) if self.is_curved else self.events
+
+    @property
+    def _sharp(self) -> NDArray[np.bool_]:
+        """Return at which corners between two pieces the speed jumps."""
+        slope = np.diff(self.displacement) / np.diff(self.t)
+        return np.asarray(np.abs(np.diff(slope)) > _HELD * float(np.abs(slope).max()))
+
+    def straight(self, t: FloatArray) -> FloatArray:
+        """
+        Return for how long a curve is taken for straight, around some times.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            How long it takes from corner to corner there [s]; not finite where it hardly bends.
+
+        """
+        gaps = np.diff(self.t)
+        piece = np.clip(np.searchsorted(self.t, t, side='right') - 1, 0, gaps.size - 1)
+        return np.where(gaps < self.still, gaps, math.inf)[piece]
 
 
 @dataclass(frozen=True)
@@ -655,7 +688,7 @@ class FitTrial:
     @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
-        if self.path.t.size > 4 * _MOST_PIECES or self.path.still < math.inf:
+        if self.path.is_curved:
             # Corners at the encoders' samples are their noise as well, and a smooth way has none.
             return None
         fine = self.interval / _PARTS
@@ -1091,16 +1124,15 @@ def _prepare(
         path=path,
     )
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
-    if path.t.size <= 4 * _MOST_PIECES or path.still < math.inf:
-        events += [t for t in path.events if touch < t < edges[-1]]
-        events += later
-        steps = _steps(edges, np.array(sorted(events)), interval, windows)
-        # What was set aside is no force that goes on or jumps.
-        told = np.flatnonzero(samples.good)
-        read = np.interp(np.arange(samples.force.size), told, samples.force[told])
-        samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), read))
-        return _with_steps(replace(raw, samples=samples, t=samples.edges), steps)
-    return raw.full_rate
+    events += [t for t in path.jerks if touch < t < edges[-1]]
+    events += later
+    straight = path.straight(0.5 * (edges[1:] + edges[:-1])) if path.is_curved else None
+    steps = _steps(edges, np.array(sorted(events)), interval, windows, straight)
+    # What was set aside is no force that goes on or jumps.
+    told = np.flatnonzero(samples.good)
+    read = np.interp(np.arange(samples.force.size), told, samples.force[told])
+    samples = replace(samples, edges=_on_ticks(edges, steps, _tick(force.t), read))
+    return _with_steps(replace(raw, samples=samples, t=samples.edges), steps)
 
 
 def range_end_of(trials: Sequence[tuple[Trial, Segmentation]]) -> float:
@@ -1397,17 +1429,29 @@ def _with_gaps(
 
 
 def _steps(
-    edges: FloatArray, events: FloatArray, interval: float, windows: bool
+    edges: FloatArray,
+    events: FloatArray,
+    interval: float,
+    windows: bool,
+    straight: FloatArray | None = None,
 ) -> NDArray[np.intp]:
-    """Return which edges remain: sparse far from the events, and all of them near these."""
+    """
+    Return which edges remain: sparse far from the events, and all of them near these.
+
+    A step lasts no longer than the tool's way is `straight` around each edge [s].
+    """
     kept = np.zeros(edges.size, dtype=np.bool_)
     kept[[0, 1, -1]] = True
-    _keep(edges, events, interval, _WINDOW if windows else 0, kept)
+    most = np.full(edges.size - 1, float(edges.size))
+    if straight is not None:
+        # In twos, so that a few lengths do for all: what bends is as long as it bends anywhere.
+        most = 2.0 ** np.floor(np.log2(np.clip(straight / interval, 1.0, edges.size)))
+    _keep(edges, events, interval, _WINDOW if windows else 0, most, kept)
     return np.flatnonzero(kept)
 
 
 @kernel()
-def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def]
+def _keep(edges, events, interval, window, most, kept):  # type: ignore[no-untyped-def]
     """
     Mark the edges that remain.
 
@@ -1428,7 +1472,7 @@ def _keep(edges, events, interval, window, kept):  # type: ignore[no-untyped-def
         samples = 1.0
         if i % _WINDOW_EVERY >= window:
             # Without events one step is as good as many.
-            samples = min(max(_GROWTH * distance / interval, 1.0), edges.size)
+            samples = min(max(_GROWTH * distance / interval, 1.0), most[i])
             # The nearest whole number of so few digits, in twos.
             unit = 2.0 ** max(np.floor(np.log2(samples)) - _DIGITS, 0.0)
             samples = unit * np.round(samples / unit)

@@ -35,7 +35,7 @@ from hapticvision_ros.core.fit.data import (
 )
 from hapticvision_ros.core.fit.held_out import predict_unseen, Trained
 from hapticvision_ros.core.models.motion import acceleration
-from hapticvision_ros.core.records import Segmentation, Signal, Trial
+from hapticvision_ros.core.records import FloatArray, Segmentation, Signal, Trial
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -287,6 +287,55 @@ def test_steps_hold_every_sample_once_and_are_short_near_events() -> None:
     assert np.array_equal(head.force[:50], made.force[:50])
     assert head.force_count[50] == 0.0 and head.height.size == head.height_t.size == 0
     assert np.array_equal(made.head(made.force.size).t, made.t)
+
+
+def _curved(error: float, jump: float = 0.0) -> Trial:
+    """Return a trial whose tool goes along a curve, which its encoders tell to `error`."""
+    t = np.arange(0.0, 20.0, 0.001)
+
+    def way(t: FloatArray) -> FloatArray:
+        down, up = np.clip((t - 1.0) / 4.0, 0.0, 1.0), np.clip((t - 13.0) / 4.0, 0.0, 1.0)
+        gone = [part**3 * (10.0 - 15.0 * part + 6.0 * part**2) for part in (down, up)]
+        return 0.016 * (gone[0] - gone[1]) - 0.008 - jump * np.maximum(t - 14.0, 0.0)
+
+    force = 600.0 * np.maximum(way(t), 0.0)
+    force += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    told = way(t[::4]) + error * np.random.default_rng(2).standard_normal(t[::4].size)
+    return Trial('trial', 0, Signal(t, force), Signal(t[::4], 0.04 - told), None)
+
+
+CURVED = replace(PHASES, t_contact=3.0, t_hold=5.0, t_release=13.0, t_loss=15.0, depth=0.008)
+
+
+@pytest.mark.parametrize('error', [0.0, 3e-6])
+def test_along_a_curve_steps_are_as_long_as_it_is_straight(error: float) -> None:
+    """Corners of a curve are none of the tool: there is nothing to follow sample by sample."""
+    trial = _curved(error)
+    (made,), warnings = prepare([(trial, CURVED)])
+    assert warnings == ()
+    assert made.path.is_curved
+    assert made.force_count.sum() == len(trial.force)
+    assert made.force.size < 0.25 * len(trial.force)
+    near = np.abs(made.t[:-1] - 3.0) < 0.02
+    assert np.all(made.force_count[near] == 1.0)
+    moving = (made.t[:-1] > 1.5) & (made.t[:-1] < 4.5)
+    assert 1.0 < made.force_count[moving].max() < 50.0
+    held = (made.t[:-1] > 8.0) & (made.t[:-1] < 10.0)
+    assert made.force_count[held].min() > 30.0
+    # Within its steps the tool is where it would be at each sample.
+    full = made.full_rate
+    off = np.interp(full.t, made.t, made.displacement) - full.displacement
+    assert np.abs(off[(full.t > 3.0) & (full.t < 15.0)]).max() < 1e-6
+
+
+def test_where_the_tool_jumps_on_a_curve_steps_are_short() -> None:
+    """It stops at once on its way up, or goes on sooner: the force may jump there."""
+    (made,), _ = prepare([(_curved(0.0, jump=0.004), CURVED)])
+    assert made.path.jerks == pytest.approx([14.0], abs=0.005)
+    beside = np.abs(made.t[:-1] - made.path.jerks[0]) < 0.02
+    assert np.all(made.force_count[beside] == 1.0)
+    before = np.abs(made.t[:-1] - 13.8) < 0.02
+    assert np.all(made.force_count[before] > 1.0)
 
 
 def test_a_glitch_is_left_out_of_its_step() -> None:
