@@ -462,15 +462,10 @@ def _slower(air: Sequence[Record], noise: SensorNoise, interval: float, least: f
     own = estimate(air, noise, interval)
     if noise.slow < _SLOW * own.std or own.std <= least:
         return 0.0
-    if _long(noise, interval) < _SLOWER**2 * _long(own, interval):
+    if noise.over_long(interval) < _SLOWER**2 * own.over_long(interval):
         return 0.0
     other = deviance(air, noise) - deviance(air, own) > _OTHER
     return noise.correlation_time if other else 0.0
-
-
-def _long(noise: SensorNoise, interval: float) -> float:
-    """Return the variance of a mean over long, times its length."""
-    return noise.white**2 * interval + 2.0 * noise.slow**2 * noise.correlation_time
 
 
 def _alike(noise: SensorNoise, interval: float) -> float:

@@ -47,6 +47,11 @@ _BESIDE: Final = 3
 """Steps beside a jump of the force in which nothing is looked for."""
 _UNKNOWN: Final = 2.0
 """Intervals of the encoders beside a jump of the force in which nothing is looked for either."""
+_BY_THE_WAY: Final = 4.0
+"""Variance of a mean over long for what the speed is off by, over that of the noise, above which
+nothing is looked for: how a way is off is much the same in trials that go alike."""
+_STEP: Final = math.sqrt(12.0)
+"""A step of what is rounded, over its standard deviation."""
 _FEWEST_AWAY: Final = 4
 """Recoveries that tell from slow noise what is alike in them once the tool is away."""
 _LOOKED_CLOSER: Final = 3
@@ -168,8 +173,17 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
         gain = smooth.gain - smooth.count * math.log(bench.samples)
         surprise = alike.get(curve, 0.0)
         if max(gain, surprise) > 0.0:
-            results.append(_described(bench, found, phases, curve, smooth, gain, surprise))
+            described = _described(bench, found, phases, curve, smooth, gain, surprise)
+            if curve.channel == 'force' or described.rms > _astray(bench):
+                results.append(described)
     return tuple(sorted(results, key=lambda each: -max(each.gain, each.surprise)))
+
+
+def _astray(bench: Workbench) -> float:
+    """Return by how much a height may be off as the tool is, where that goes along a curve [m]."""
+    # A step of encoders that round: how they are off within one is much the same in all trials.
+    steps = (_STEP * t.path.noise for t in bench.trials if t.path.unsteady is not None)
+    return max(steps, default=0.0)
 
 
 def _alike(common: Smooth, own: Smooth, curves: int) -> float:
@@ -214,6 +228,7 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
     """Return, for each trial, in which steps the force does not jump within a few samples."""
     limit = found.force_noise.std**2
     calm = []
+    over_long = found.force_noise.over_long
     for trial, jumps in zip(found.problem.trials, found.problem.jumps(found.state), strict=True):
         sudden = jumps > limit
         near = sudden.copy()
@@ -233,6 +248,9 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
                 start = int(np.searchsorted(trial.t[1:], bend.start - reach))
                 stop = int(np.searchsorted(trial.t[:-1], bend.stop + reach))
                 near[start:stop] = True
+        if trial.unsteady is not None:
+            least = _BY_THE_WAY * over_long(trial.interval)
+            near |= trial.unsteady * trial.duration > least
         calm.append(~near)
     return calm
 

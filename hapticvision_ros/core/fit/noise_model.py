@@ -84,6 +84,10 @@ class SensorNoise:
         """Return the standard deviation of a sample."""
         return math.hypot(self.white, self.slow, self.wander)
 
+    def over_long(self, interval: float) -> float:
+        """Return the variance of a mean over long, times its length, but for how it wanders."""
+        return self.white**2 * interval + 2.0 * self.slow**2 * self.correlation_time
+
     def correlation(self, interval: float) -> float:
         """Return the correlation of two samples that are `interval` [s] apart."""
         if self.std == 0.0:

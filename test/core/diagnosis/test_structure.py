@@ -21,8 +21,8 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.refit import Smooth, Workbench
 from hapticvision_ros.core.diagnosis.structure import _alike, _calm, look, SURPRISE
-from hapticvision_ros.core.fit.campaign import fit_prepared
-from hapticvision_ros.core.fit.data import arm_of, prepare
+from hapticvision_ros.core.fit.campaign import fit_prepared, Problem
+from hapticvision_ros.core.fit.data import arm_of, FitTrial, prepare
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim.campaigns import peak_force
@@ -85,6 +85,62 @@ def test_nothing_is_looked_for_while_a_tool_gathers_speed_to_withdraw(world: Any
         assert not calm[(trial.middle > t_release) & (trial.middle < gathers)].any()
         assert calm[(trial.middle > t_hold + 0.2) & (trial.middle < t_release - 0.05)].all()
         assert calm[trial.middle > gathers + 0.05].any()
+
+
+def curved(trial: FitTrial, unsteady: float, noise: float) -> FitTrial:
+    """Return a trial whose tool is taken to go along a curve."""
+    path = trial.path
+    off = np.full(path.t.size, unsteady)
+    return replace(trial, path=replace(path, still=0.1, unsteady=off, noise=noise))
+
+
+@pytest.mark.parametrize(('times', 'looked'), [(0.9, True), (1.1, False)])
+def test_nothing_is_looked_for_where_the_speed_is_less_known_than_the_force(
+    world: Any, times: float, looked: bool
+) -> None:
+    """How a curve is off its encoders leave open, alike in trials that go alike."""
+    measured = world.measure(world.campaign(world.four[:2]), seed=3)
+    _, base = measured.bench()
+    noise = base.force_noise
+    trials = []
+    for trial in base.problem.trials:
+        unit = curved(trial, 1.0, trial.path.noise)
+        assert unit.unsteady is not None
+        most = float((unit.unsteady * unit.duration).max())
+        over = noise.white**2 * trial.interval + 2.0 * noise.slow**2 * noise.correlation_time
+        trials.append(curved(trial, times * np.sqrt(4.0 * over / most), trial.path.noise))
+    found = replace(base, problem=Problem(base.model, tuple(trials)))
+    for trial, calm in zip(trials, _calm(found), strict=True):
+        touching = (trial.middle > trial.t_contact + 0.2) & (trial.displacement[1:] > 0.0)
+        assert calm[touching].any() == looked
+        assert calm[trial.middle < trial.t_contact - 0.2].all()
+
+
+@pytest.mark.parametrize(('noise', 'seen'), [(0.2, True), (0.4, False)])
+def test_a_surface_that_is_off_by_less_than_the_tool_is_not_looked_at(
+    world: Any, noise: float, seen: bool
+) -> None:
+    """A step of encoders that round is 3.5 times their noise."""
+    campaign = world.campaign(world.four, recover=4.0)
+    size = campaign.sensors.height_noise
+
+    def higher(trial: Trial) -> Trial:
+        height = trial.displacement_height
+        loss = segment(trial.force, trial.tool_height, height).t_loss
+        assert height is not None
+        assert loss is not None
+        later = np.maximum(height.t - loss, 0.0)
+        value = height.value + 4.0 * size * np.where(later > 0.0, np.exp(-later), 0.0)
+        return replace(trial, displacement_height=Signal(height.t, value))
+
+    measured = world.measure(campaign, seed=6, change=higher)
+    prepared, _ = prepare(measured.pairs)
+    found = fit_prepared(
+        tuple(None if t is None else curved(t, 1e-12, noise * size) for t in prepared), Model()
+    )
+    bench = Workbench(found.problem.trials, None)
+    left = look(bench, bench.base(found), measured.phases)
+    assert any(each.curve.channel == 'height' for each in left) == seen
 
 
 @pytest.mark.parametrize('taken_for', [0.01, 1.0, 10.0])
