@@ -81,6 +81,10 @@ CLOUD = CloudPlan(80, 60, 3e-4)
 CLOUD_RATE = 5.0
 SLOW = (0.01, 0.3)
 """Accelerations of slow arms [m/s^2]."""
+STEPS = (1e-9, 1e-6, 5e-6, 2e-5)
+"""Steps of the encoders of arms that move at least jerk, in turn [m]."""
+EXACT = 1e-8
+"""Step below which encoders have no other noise [m]."""
 NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
@@ -123,7 +127,13 @@ def grid_campaign(seed: int, scatter: float) -> Campaign:
 
 
 def make(
-    world: str, seed: int, scatter: float, *, clouds: bool = False, slow: bool = False
+    world: str,
+    seed: int,
+    scatter: float,
+    *,
+    clouds: bool = False,
+    slow: bool = False,
+    curved: bool = False,
 ) -> Campaign:
     """Return a campaign of one of the worlds."""
     if world == 'grid':
@@ -137,6 +147,12 @@ def make(
         part = np.random.default_rng((seed, 77)).uniform()
         acceleration = SLOW[0] * (SLOW[1] / SLOW[0]) ** part
         campaign = replace(campaign, acceleration=acceleration)
+    if curved:
+        step = STEPS[seed % len(STEPS)]
+        sensors = replace(campaign.sensors, encoder_resolution=step)
+        if step < EXACT:
+            sensors = replace(sensors, encoder_noise=0.0)
+        campaign = replace(campaign, sensors=sensors, curved=True)
     return campaign
 
 
@@ -220,7 +236,11 @@ def fitted_strength(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, names = task['seed'], task['effects']
-    kinds = {'clouds': task['clouds'], 'slow': task.get('slow', False)}
+    kinds = {
+        'clouds': task['clouds'],
+        'slow': task.get('slow', False),
+        'curved': task.get('curved', False),
+    }
     campaign = make(task['world'], seed, task['scatter'], **kinds)
     shape = float(np.random.default_rng((seed, 5)).uniform())
     result = dict(task)
@@ -294,13 +314,14 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 PLAN = (
     '--world random --none 400 --first 66100',
     '--world random --scatter 0.02 --none 400 --first 48000',
-    '--world grid --seeds 2 --first 462 --r 0.3 1 0.1 0.07 0.05',
-    '--world grid --scatter 0.02 --seeds 2 --first 774 --r 0.3 1',
+    '--world grid --seeds 2 --first 464 --r 0.3 1 0.1 0.07 0.05',
+    '--world grid --scatter 0.02 --seeds 2 --first 776 --r 0.3 1',
     '--world grid --pairs 20 --seeds 2 --first 674 --r 0.3',
     '--world grid --outside --seeds 2 --first 263 --r 1',
     '--world grid --clouds --seeds 1 --first 906 --r 1',
     '--world grid --laws --seeds 1 --first 981 --r 0.3 1 3',
     '--world random --slow --none 60 --first 65200',
+    '--world random --curved --none 60 --first 90200',
 )
 """What the page is made of."""
 
@@ -310,6 +331,8 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     common = {'world': args.world, 'scatter': args.scatter, 'clouds': args.clouds}
     if args.slow:
         common['slow'] = True
+    if args.curved:
+        common['curved'] = True
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effects': [], 'r': 0.0}
     every = OTHER_LAWS if args.laws else OUTSIDE if args.outside else LIBRARY
@@ -329,7 +352,7 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
     given = [task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')]
-    return json.dumps([*given, task.get('slow', False)])
+    return json.dumps([*given, task.get('slow', False), task.get('curved', False)])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -340,6 +363,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--scatter', type=float, default=0.0, help='of K1, C1, C2, such as 0.02')
     made.add_argument('--clouds', action='store_true', help='through bags with clouds (grid)')
     made.add_argument('--slow', action='store_true', help='arms of 0.01 to 0.3 m/s^2')
+    made.add_argument(
+        '--curved', action='store_true', help='arms at least jerk, encoders of 1 nm to 20 um'
+    )
     made.add_argument('--none', type=int, default=0, help='campaigns without an effect')
     made.add_argument('--seeds', type=int, default=0, help='campaigns an effect')
     made.add_argument('--first', type=int, default=0, help='first seed')
@@ -458,6 +484,8 @@ def rates(results: list[dict[str, Any]]) -> list[str]:
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for r in results:
         world = f'{r["world"]}, slow arms' if r.get('slow') else r['world']
+        if r.get('curved'):
+            world += ', at least jerk'
         groups.setdefault((world, r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
     for (world, clouds, scatter, what, size), of in sorted(groups.items()):
         singles = [each[0] in names(r) for r in of for each in r['sets'] if len(each) == 1]
@@ -573,7 +601,7 @@ def summary(results: list[dict[str, Any]]) -> str:
     """Return the tables in Markdown."""
     failed = sum('error' in r for r in results)
     results = [r for r in results if 'skipped' not in r and 'error' not in r]
-    others = ('scatter', 'clouds', 'slow')
+    others = ('scatter', 'clouds', 'slow', 'curved')
     plain = [
         r for r in results if r['world'] == 'grid' and not any(r.get(each) for each in others)
     ]

@@ -31,6 +31,7 @@ and provenance of the trials are neutral.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 import math
 from pathlib import Path
 from types import MappingProxyType
@@ -69,6 +70,8 @@ _FULL_RIPPLE: Final = 0.3
 """Speed of the arm from which on it ripples in full, over that of the push."""
 _RIPPLE_STEPS: Final = 64
 """Pieces of even acceleration in a period of the ripple."""
+_SWING_STEPS: Final = 240
+"""Pieces of even acceleration in a move at least jerk."""
 _COARSE: Final = 4000
 """Steps of a trial where only its peak is asked for."""
 
@@ -212,6 +215,9 @@ class Campaign:
     ripple, ripple_rate : float
         Amplitude [m] and frequency [Hz] at which the tool goes to and fro while the arm moves, as
         its gears make it; slow moves ripple less.
+    curved : bool
+        Whether the arm moves at least jerk from rest to rest, with the speeds of the pushes at
+        most, and not with `acceleration` up to a steady one.
 
     """
 
@@ -228,6 +234,7 @@ class Campaign:
     clearance: float = 0.010
     ripple: float = 0.0
     ripple_rate: float = 8.0
+    curved: bool = False
 
     @property
     def deepest(self) -> float:
@@ -551,9 +558,9 @@ def _frames(
 class _Path:
     """Puts a motion together from legs between rests."""
 
-    def __init__(self, depth: float, acceleration: float) -> None:
+    def __init__(self, depth: float, acceleration: float, *, curved: bool = False) -> None:
         self.t, self.depth = 0.0, depth
-        self._most = acceleration
+        self._most, self._curved = acceleration, curved
         self._pieces: list[tuple[float, float, float, float]] = []
 
     def rest(self, duration: float) -> None:
@@ -563,6 +570,10 @@ class _Path:
     def go(self, depth: float, speed: float) -> None:
         """Go to `depth` [m] with at most `speed` [m/s], and stop there."""
         way = depth - self.depth
+        if self._curved and way != 0.0:
+            self._swing(way, speed)
+            self.depth = depth
+            return
         sign = math.copysign(1.0, way)
         a = self._most
         top = min(speed, math.sqrt(a * abs(way)))
@@ -571,6 +582,17 @@ class _Path:
         self._add(steady, sign * top, 0.0)
         self._add(top / a, sign * top, -sign * a)
         self.depth = depth
+
+    def _swing(self, way: float, speed: float) -> None:
+        """Go a way at least jerk."""
+        # T. Flash and N. Hogan, J. Neurosci. 5, 1985, 1688-1703,
+        # doi:10.1523/JNEUROSCI.05-07-01688.1985: the greatest speed is 15/8 of the mean one.
+        step = 1.875 * abs(way) / speed / _SWING_STEPS
+        part = np.linspace(0.0, 1.0, _SWING_STEPS + 1)
+        speeds = part**2 * (1.0 - part) ** 2
+        speeds *= way / (step * float(speeds.sum()))
+        for now, then in pairwise(speeds.tolist()):
+            self._add(step, now, (then - now) / step)
 
     def _add(self, duration: float, speed: float, acceleration: float) -> None:
         if duration > 0.0:
@@ -590,7 +612,7 @@ def _motion(campaign: Campaign, push: Push) -> tuple[Motion, float, tuple[tuple[
     # Far enough above any surface to push with a steady speed at the touch.
     gap = max(1e-3, 6.0 * campaign.surface_scatter, 2.0 * push.speed**2 / a)
     top = max(campaign.clearance, 2.0 * gap)
-    path = _Path(-top, a)
+    path = _Path(-top, a, curved=campaign.curved)
     phases = [(0.0, 'approach')]
     path.rest(campaign.quiet_time)
     path.go(-gap, max(push.speed, 0.01))

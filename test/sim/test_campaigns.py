@@ -223,6 +223,26 @@ def test_an_arm_ripples_while_it_moves() -> None:
     np.testing.assert_allclose(ends, rippling.depth[1:], atol=1e-12)
 
 
+def test_an_arm_that_moves_at_least_jerk_changes_its_speed_all_the_way() -> None:
+    """It is at its greatest speed half way, and its acceleration does not jump."""
+    campaign = replace(CAMPAIGN, curved=True)
+    motion, duration, phases = campaign.motion(0)
+    starts = {name: t for t, name in phases}
+    t = np.linspace(starts['push'], starts['hold'], 2001)
+    depth, speed, acceleration = motion.at(t)
+    assert depth[-1] == pytest.approx(0.006, abs=1e-12)
+    assert speed.max() == pytest.approx(0.008, rel=1e-3)
+    assert t[int(np.argmax(speed))] == pytest.approx(0.5 * (t[0] + t[-1]), rel=1e-3)
+    assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-6)
+    lasts = t[-1] - t[0]
+    assert lasts == pytest.approx(1.875 * (depth[-1] - depth[0]) / 0.008)
+    # Of the fifth order of the time: the acceleration is at most 5.77 ways over its square.
+    most = 5.7735 * (depth[-1] - depth[0]) / lasts**2
+    assert np.abs(acceleration).max() == pytest.approx(most, rel=0.01)
+    assert np.abs(np.diff(acceleration)).max() < 0.05 * most
+    assert motion.at(np.array([duration]))[0] == pytest.approx([-0.010])
+
+
 def test_drift_goes_on_over_the_campaign_and_hum_keeps_its_phase() -> None:
     bare = ideal()
     for effect, change in (
