@@ -19,7 +19,7 @@ Each is made in a process of its own that has compiled everything and seen none 
 one diagnosis has kept of their tool's way another would not have to find again.
 
 ``OMP_NUM_THREADS=1 python bench/bench_diagnosis.py``; with ``--bootstrap 50`` also the bootstrap
-of the first of them, with two processes.
+of the first of them, with two processes; with ``--curved 1e-5`` by an arm at least jerk.
 """
 
 import argparse
@@ -51,6 +51,9 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--bootstrap', type=int, default=0, metavar='N', help='campaigns')
+    parser.add_argument(
+        '--curved', type=float, metavar='STEP', help='an arm at least jerk, its encoders in steps'
+    )
     args = parser.parse_args()
     peak = peak_force(Campaign(BODY, PUSHES, Sensors(ForceNoise(0.0), 0.0)))
     sensors = Sensors(
@@ -61,6 +64,10 @@ def main() -> None:
         force_zero=0.02 * peak,
     )
     campaign = Campaign(BODY, PUSHES, sensors)
+    if args.curved is not None:
+        campaign = replace(
+            campaign, sensors=replace(sensors, encoder_resolution=args.curved), curved=True
+        )
     # So small a campaign compiles, or loads, all that is compiled.
     first = run(replace(campaign, pushes=PUSHES[:2]), seed=2).trials
     diagnose([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in first])

@@ -216,8 +216,8 @@ class Campaign:
         Amplitude [m] and frequency [Hz] at which the tool goes to and fro while the arm moves, as
         its gears make it; slow moves ripple less.
     curved : bool
-        Whether the arm moves at least jerk from rest to rest, with the speeds of the pushes at
-        most, and not with `acceleration` up to a steady one.
+        Whether the arm moves at least jerk from rest to rest, and has the speeds of the pushes
+        half way, and not with `acceleration` up to a steady one.
 
     """
 
@@ -609,7 +609,7 @@ class _Path:
 @lru_cache(maxsize=4096)
 def _motion(campaign: Campaign, push: Push) -> tuple[Motion, float, tuple[tuple[float, str], ...]]:
     a = campaign.acceleration
-    # Far enough above any surface to push with a steady speed at the touch.
+    # Far enough above any surface to push with a steady speed at the touch, but on a curve.
     gap = max(1e-3, 6.0 * campaign.surface_scatter, 2.0 * push.speed**2 / a)
     top = max(campaign.clearance, 2.0 * gap)
     path = _Path(-top, a, curved=campaign.curved)

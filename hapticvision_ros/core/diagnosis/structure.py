@@ -50,8 +50,8 @@ _UNKNOWN: Final = 2.0
 _BY_THE_WAY: Final = 4.0
 """Variance of a mean over long for what the speed is off by, over that of the noise, above which
 nothing is looked for: how a way is off is much the same in trials that go alike."""
-_STEP: Final = math.sqrt(12.0)
-"""A step of what is rounded, over its standard deviation."""
+_OFF: Final = math.sqrt(12.0)
+"""By how much a height may be off for a tool on a curve, over the noise of its encoders."""
 _FEWEST_AWAY: Final = 4
 """Recoveries that tell from slow noise what is alike in them once the tool is away."""
 _LOOKED_CLOSER: Final = 3
@@ -145,11 +145,11 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
     Returns
     -------
     tuple of Found
-        Those that gain anything, also by chance.
+        Those that gain anything, also by chance; of heights those beyond what the tool may be off.
 
     """
     tried = dict[Curve, tuple[list[Columns], Smooth]]()
-    calm = _calm(found)
+    calm, astray = _calm(found), _astray(bench)
     for curve in _curves(bench, phases):
         columns = _columns(bench, phases, curve, calm)
         smooth = bench.smooth(found, columns, again=False)
@@ -162,6 +162,10 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
     }
     rough = []
     for curve, (columns, smooth) in tried.items():
+        if curve.channel == 'height' and astray > 0.0:
+            rms = _described(bench, found, phases, curve, smooth, 0.0, 0.0).rms
+            if rms <= astray:
+                continue
         gain = smooth.gain - smooth.count * math.log(bench.samples)
         rough.append((max(gain, alike.get(curve, gain)), curve, columns))
     rough.sort(key=lambda each: -each[0])
@@ -173,17 +177,16 @@ def look(bench: Workbench, found: Refit, phases: Sequence[Segmentation]) -> tupl
         gain = smooth.gain - smooth.count * math.log(bench.samples)
         surprise = alike.get(curve, 0.0)
         if max(gain, surprise) > 0.0:
-            described = _described(bench, found, phases, curve, smooth, gain, surprise)
-            if curve.channel == 'force' or described.rms > _astray(bench):
-                results.append(described)
+            results.append(_described(bench, found, phases, curve, smooth, gain, surprise))
     return tuple(sorted(results, key=lambda each: -max(each.gain, each.surprise)))
 
 
 def _astray(bench: Workbench) -> float:
     """Return by how much a height may be off as the tool is, where that goes along a curve [m]."""
-    # A step of encoders that round: how they are off within one is much the same in all trials.
-    steps = (_STEP * t.path.noise for t in bench.trials if t.path.unsteady is not None)
-    return max(steps, default=0.0)
+    # Of encoders that round it is a step: how they are off within one is much alike in all trials.
+    return max(
+        (_OFF * t.path.noise for t in bench.trials if t.path.unsteady is not None), default=0.0
+    )
 
 
 def _alike(common: Smooth, own: Smooth, curves: int) -> float:
@@ -225,10 +228,9 @@ def _curves(bench: Workbench, phases: Sequence[Segmentation]) -> Iterator[Curve]
 
 
 def _calm(found: Refit) -> list[NDArray[np.bool_]]:
-    """Return, for each trial, in which steps the force does not jump within a few samples."""
+    """Return, for each trial, in which steps how the tool goes is known well enough to look."""
     limit = found.force_noise.std**2
     calm = []
-    over_long = found.force_noise.over_long
     for trial, jumps in zip(found.problem.trials, found.problem.jumps(found.state), strict=True):
         sudden = jumps > limit
         near = sudden.copy()
@@ -249,7 +251,7 @@ def _calm(found: Refit) -> list[NDArray[np.bool_]]:
                 stop = int(np.searchsorted(trial.t[:-1], bend.stop + reach))
                 near[start:stop] = True
         if trial.unsteady is not None:
-            least = _BY_THE_WAY * over_long(trial.interval)
+            least = _BY_THE_WAY * found.force_noise.over_long(trial.interval)
             near |= trial.unsteady * trial.duration > least
         calm.append(~near)
     return calm

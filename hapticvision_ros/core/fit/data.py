@@ -154,6 +154,8 @@ _GONE_ON: Final = 6.0
 _PATH_BLOCKS: Final = 256
 _PATH_SIGMAS: Final = 5.0
 _LEFT_SIGMAS: Final = 6.0
+_FAR_APART: Final = 4.0
+"""Intervals of the encoders from which on two corners of a curve have a straight piece between."""
 _MORE_CORNERS: Final = 24
 """Corners that a path gets where it leaves the samples, before it goes through all of them."""
 _SHORTEST: Final = 4
@@ -366,6 +368,8 @@ class ToolPath:
         knots of a smooth way [s].
     unsteady : ndarray, shape (k,), optional
         By how much the speed of a smooth way is off at the corners, as of `Way`.
+    curved : bool
+        Whether the corners follow a curve, so that of most of them the tool knows nothing.
 
     """
 
@@ -378,6 +382,7 @@ class ToolPath:
     rest: Rest | None = None
     still: float = math.inf
     unsteady: FloatArray | None = None
+    curved: bool = False
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the displacement at times `t` [m]."""
@@ -474,14 +479,21 @@ class ToolPath:
         return [*self.t.tolist(), *edges]
 
     @property
-    def is_curved(self) -> bool:
-        """Return whether the corners follow a curve: of most of them the tool knows nothing."""
-        return self.t.size > 4 * _MOST_PIECES or self.still < math.inf
-
-    @property
     def jerks(self) -> list[float]:
-        """Return those of the events that are at once, as hardly any is along a curve [s]."""
-        return list(self.t[1:-1][self._sharp]) if self.is_curved else self.events
+        """
+        Return the events, but for corners that follow a curve [s].
+
+        Those remain at which the speed jumps, and, on the object, those beside a piece that is
+        straight for long: nothing else shows that a tool that goes evenly begins to do otherwise.
+        """
+        if not self.curved:
+            return self.events
+        far = np.diff(self.t) >= min(self.still, _FAR_APART * self.interval)
+        # In a smooth way there are knots where it is straight as well.
+        beside = far[1:] != far[:-1] if self.still < math.inf else far[1:] | far[:-1]
+        told = self._sharp | (beside & (self.displacement[1:-1] > 0.0))
+        edges = [edge for bend in self.bends for edge in (bend.start, bend.stop)]
+        return [*self.t[1:-1][told].tolist(), *edges]
 
     @property
     def _sharp(self) -> NDArray[np.bool_]:
@@ -501,7 +513,8 @@ class ToolPath:
         Returns
         -------
         ndarray, shape (n,)
-            How long it takes from corner to corner there [s]; not finite where it hardly bends.
+            How long it takes from corner to corner there [s]; not finite where a smooth way
+            hardly bends.
 
         """
         gaps = np.diff(self.t)
@@ -688,7 +701,7 @@ class FitTrial:
     @cached_property
     def turns(self) -> Turns | None:
         """Return the steps, split where the tool changes its speed below the surface."""
-        if self.path.is_curved:
+        if self.path.curved:
             # Corners at the encoders' samples are their noise as well, and a smooth way has none.
             return None
         fine = self.interval / _PARTS
@@ -1126,7 +1139,7 @@ def _prepare(
     events = [t for t in (touch, phases.t_hold, phases.t_release, phases.t_loss) if t is not None]
     events += [t for t in path.jerks if touch < t < edges[-1]]
     events += later
-    straight = path.straight(0.5 * (edges[1:] + edges[:-1])) if path.is_curved else None
+    straight = path.straight(0.5 * (edges[1:] + edges[:-1])) if path.curved else None
     steps = _steps(edges, np.array(sorted(events)), interval, windows, straight)
     # What was set aside is no force that goes on or jumps.
     told = np.flatnonzero(samples.good)
@@ -1438,13 +1451,13 @@ def _steps(
     """
     Return which edges remain: sparse far from the events, and all of them near these.
 
-    A step lasts no longer than the tool's way is `straight` around each edge [s].
+    A step of a regular record lasts no longer than the tool's way is `straight` around it [s].
     """
     kept = np.zeros(edges.size, dtype=np.bool_)
     kept[[0, 1, -1]] = True
     most = np.full(edges.size - 1, float(edges.size))
     if straight is not None:
-        # In twos, so that a few lengths do for all: what bends is as long as it bends anywhere.
+        # In twos: all is worked out anew for each other length, and knots come at any.
         most = 2.0 ** np.floor(np.log2(np.clip(straight / interval, 1.0, edges.size)))
     _keep(edges, events, interval, _WINDOW if windows else 0, most, kept)
     return np.flatnonzero(kept)
@@ -1953,6 +1966,7 @@ def _path(
         _rest(turns, phases, float(value.max()), interval),
         still,
         unsteady,
+        before[0].size + knots.size + after[0].size > 4 * _MOST_PIECES or still < math.inf,
     )
     return path, told
 

@@ -116,7 +116,7 @@ def test_nothing_is_looked_for_where_the_speed_is_less_known_than_the_force(
         assert calm[trial.middle < trial.t_contact - 0.2].all()
 
 
-@pytest.mark.parametrize(('noise', 'seen'), [(0.2, True), (0.4, False)])
+@pytest.mark.parametrize(('noise', 'seen'), [(0.6, True), (1.0, False)])
 def test_a_surface_that_is_off_by_less_than_the_tool_is_not_looked_at(
     world: Any, noise: float, seen: bool
 ) -> None:
@@ -126,12 +126,21 @@ def test_a_surface_that_is_off_by_less_than_the_tool_is_not_looked_at(
 
     def higher(trial: Trial) -> Trial:
         height = trial.displacement_height
-        loss = segment(trial.force, trial.tool_height, height).t_loss
+        phases = segment(trial.force, trial.tool_height, height)
+        t_hold, t_release, loss = phases.t_hold, phases.t_release, phases.t_loss
         assert height is not None
+        assert t_hold is not None
+        assert t_release is not None
         assert loss is not None
+        hold = np.clip((trial.force.t - t_hold) / (t_release - t_hold), 0.0, 1.0)
+        force = trial.force.value + 0.5 * campaign.sensors.force_noise.std * np.sin(7.0 * hold)
         later = np.maximum(height.t - loss, 0.0)
         value = height.value + 4.0 * size * np.where(later > 0.0, np.exp(-later), 0.0)
-        return replace(trial, displacement_height=Signal(height.t, value))
+        return replace(
+            trial,
+            force=Signal(trial.force.t, force),
+            displacement_height=Signal(height.t, value),
+        )
 
     measured = world.measure(campaign, seed=6, change=higher)
     prepared, _ = prepare(measured.pairs)
@@ -141,6 +150,8 @@ def test_a_surface_that_is_off_by_less_than_the_tool_is_not_looked_at(
     bench = Workbench(found.problem.trials, None)
     left = look(bench, bench.base(found), measured.phases)
     assert any(each.curve.channel == 'height' for each in left) == seen
+    # What is not looked at takes no place from what is.
+    assert any(each.curve.channel == 'force' and each.beyond_chance for each in left) != seen
 
 
 @pytest.mark.parametrize('taken_for', [0.01, 1.0, 10.0])

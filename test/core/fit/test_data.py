@@ -313,7 +313,7 @@ def test_along_a_curve_steps_are_as_long_as_it_is_straight(error: float) -> None
     trial = _curved(error)
     (made,), warnings = prepare([(trial, CURVED)])
     assert warnings == ()
-    assert made.path.is_curved
+    assert made.path.curved
     assert made.force_count.sum() == len(trial.force)
     assert made.force.size < 0.25 * len(trial.force)
     near = np.abs(made.t[:-1] - 3.0) < 0.02
@@ -331,11 +331,40 @@ def test_along_a_curve_steps_are_as_long_as_it_is_straight(error: float) -> None
 def test_where_the_tool_jumps_on_a_curve_steps_are_short() -> None:
     """It stops at once on its way up, or goes on sooner: the force may jump there."""
     (made,), _ = prepare([(_curved(0.0, jump=0.004), CURVED)])
-    assert made.path.jerks == pytest.approx([14.0], abs=0.005)
-    beside = np.abs(made.t[:-1] - made.path.jerks[0]) < 0.02
+    assert made.path.jerks == pytest.approx([5.0, 13.0, 14.0], abs=0.005)
+    beside = np.abs(made.t[:-1] - made.path.jerks[-1]) < 0.02
     assert np.all(made.force_count[beside] == 1.0)
     before = np.abs(made.t[:-1] - 13.8) < 0.02
     assert np.all(made.force_count[before] > 1.0)
+
+
+@pytest.mark.parametrize('every', [1, 4])
+def test_where_an_even_push_goes_on_slower_on_a_curved_record_steps_are_short(every: int) -> None:
+    """The withdrawal, at least jerk and 25 times as fast, makes little of that jump of speed."""
+    t = np.arange(0.0, 20.0, 0.001)
+    part = np.clip((t - 13.0) / 0.5625, 0.0, 1.0)
+    way = -0.012 + 0.004 * np.clip(t - 1.0, 0.0, 4.0) + 0.0005 * np.clip(t - 5.0, 0.0, 4.0)
+    way -= 0.03 * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    force = Signal(t, 600.0 * np.maximum(way, 0.0))
+    trial = Trial('trial', 0, force, Signal(t[::every], 0.04 - way[::every]), None)
+    phases = replace(PHASES, t_contact=4.0, t_hold=9.0, t_release=13.0, t_loss=13.2, depth=0.006)
+    (made,), _ = prepare([(trial, phases)])
+    assert made.path.curved
+    assert np.all(made.force_count[np.abs(made.t[:-1] - 5.0) < 0.02] == 1.0)
+    full = made.full_rate
+    off = np.interp(full.t, made.t, made.displacement) - full.displacement
+    assert np.abs(off[(full.t > 4.0) & (full.t < 13.0)]).max() < 1e-6
+    assert made.force.size < 0.3 * len(trial.force)
+
+
+def test_the_head_of_a_curved_trial_is_as_curved() -> None:
+    """It is used to find where the whole trial touches."""
+    (made,), _ = prepare([(_curved(0.0), CURVED)])
+    head = made.head(int(np.searchsorted(made.t, 3.4)))
+    assert head.path.t.size < 300
+    assert head.path.curved
+    assert made.turns is None
+    assert head.turns is None
 
 
 def test_a_glitch_is_left_out_of_its_step() -> None:
