@@ -319,7 +319,9 @@ def test_along_a_curve_steps_are_as_long_as_it_is_straight(error: float) -> None
     near = np.abs(made.t[:-1] - 3.0) < 0.02
     assert np.all(made.force_count[near] == 1.0)
     moving = (made.t[:-1] > 1.5) & (made.t[:-1] < 4.5)
-    assert 1.0 < made.force_count[moving].max() < 50.0
+    assert made.force_count[moving].max() > 1.0
+    straight = made.path.straight(made.middle)
+    assert np.all(made.duration[moving] < 1.001 * straight[moving])
     held = (made.t[:-1] > 8.0) & (made.t[:-1] < 10.0)
     assert made.force_count[held].min() > 30.0
     # Within its steps the tool is where it would be at each sample.
@@ -336,6 +338,14 @@ def test_where_the_tool_jumps_on_a_curve_steps_are_short() -> None:
     assert np.all(made.force_count[beside] == 1.0)
     before = np.abs(made.t[:-1] - 13.8) < 0.02
     assert np.all(made.force_count[before] > 1.0)
+
+
+def test_a_curve_keeps_the_ends_of_its_bends() -> None:
+    """A path of many ways has shapes of arms at more corners than a curve has to have."""
+    bend = Bend(1.0, -0.05, Shape(0.01, 0.0, 0.02))
+    t = np.linspace(0.0, 2.0, 401)
+    path = ToolPath(t, 0.01 * np.sin(t), 1e-7, (bend,), 0.005, curved=True)
+    assert path.jerks == [bend.start, bend.stop]
 
 
 @pytest.mark.parametrize('every', [1, 4])
