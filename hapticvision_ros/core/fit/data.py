@@ -169,9 +169,6 @@ _DITHERED: Final = 1.4
 """Noise of the encoders over that of their rounding, from which on like readings err apart."""
 _BADLY: Final = 1.35
 """Squares over the noise, for each sample, from which on the shapes of arms are none of its."""
-_STEPS: Final = 0.3
-_WHILE: Final = 8
-"""Steps of the encoders that a tool goes on by from sample to sample, over so many, or creeps."""
 _RESTS: Final = 40
 """Readings within a step of the encoders, one after another, in more of which a tool rests."""
 _FOLLOWED: Final = 4.0
@@ -1991,8 +1988,6 @@ def _smooth_way(
         least = _misfit(t, value, found, noise, alike)
         if corners < _LOOSE and least < _BADLY * samples and found[0].size <= _CROWDED:
             return None
-        if samples < t.size and _creeps(value, step):
-            return None
     way = smooth(t, value, noise, alike if samples < t.size else None)
     return way if way.misfit < least else None
 
@@ -2026,13 +2021,6 @@ def _resting(value, reach, alike):  # type: ignore[no-untyped-def]
         if stop - first > _RESTS:
             alike[first:stop] = stop - first
         first = stop
-
-
-def _creeps(value: FloatArray, step: float) -> bool:
-    """Return whether a tool that moves goes on by less than a step of its encoders as a rule."""
-    ways = np.abs(value[_WHILE:] - value[:-_WHILE])
-    ways = ways[ways > 1.5 * step]
-    return ways.size == 0 or float(np.median(ways)) < _STEPS * _WHILE * step
 
 
 def _misfit(

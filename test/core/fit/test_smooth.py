@@ -230,11 +230,11 @@ def test_a_way_that_is_far_off_the_samples_is_none() -> None:
     assert _smooth_way(t, value, None, 8e-9) is None
 
 
-def _jerked(t: np.ndarray) -> np.ndarray:
-    """Return a way there of 15 mm and back, each at one least jerk, with a hold between."""
+def _jerked(t: np.ndarray, far: float, pushes: float, withdraws: float) -> np.ndarray:
+    """Return a way there from 0.5 s on and back from 8 s or later on, each at one least jerk."""
     way = np.full(t.size, -0.004)
-    for start, length in ((0.5, 0.015), (8.0, -0.015)):
-        share = np.clip((t - start) / 3.0, 0.0, 1.0)
+    for start, length, lasts in ((0.5, far, pushes), (max(8.0, pushes + 3.5), -far, withdraws)):
+        share = np.clip((t - start) / lasts, 0.0, 1.0)
         way += length * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
     return way
 
@@ -244,9 +244,10 @@ def test_a_curve_before_encoders_that_round_is_followed_better_than_by_shapes_of
     t = np.arange(0.0, 13.0, 0.008)
     phases = Segmentation(1.6, 3.5, 8.0, 10.4, 13.0, 0.04, 0.0, 0.006, 0.011)
     fine = np.arange(1.2, 3.3, 1e-3)
+    way = _jerked(t, 0.015, 3.0, 3.0)
     for seed in range(3):
-        path = tool_path(Signal(t, _noisy(t, _jerked(t), 3e-6, 2e-5, seed)), phases)
-        missed = path.at(fine) - _jerked(fine)
+        path = tool_path(Signal(t, _noisy(t, way, 3e-6, 2e-5, seed)), phases)
+        missed = path.at(fine) - _jerked(fine, 0.015, 3.0, 3.0)
         # By pieces and shapes it is 14 to 21 um.
         assert np.std(missed) < 4e-6
         assert path.unsteady is not None
@@ -263,14 +264,25 @@ def test_a_curve_before_encoders_that_round_is_followed_better_than_by_shapes_of
 def test_the_speed_between_knots_is_hardly_off(seed: int) -> None:
     """A push at one least jerk: straight pieces whose places are right make force of dashpots."""
     t = np.arange(0.0, 13.0, 0.002)
-    value = _noisy(t, _jerked(t), 3e-7, 5e-7, seed)
+    value = _noisy(t, _jerked(t, 0.015, 3.0, 3.0), 3e-7, 5e-7, seed)
     path = tool_path(
         Signal(t, value), Segmentation(1.6, 3.5, 8.0, 10.4, 13.0, 0.04, 0.0, 6e-3, 0.011)
     )
     fine = np.arange(1.6, 3.5, 5e-4)
-    off = np.gradient(path.at(fine) - _jerked(fine), fine)
+    off = np.gradient(path.at(fine) - _jerked(fine, 0.015, 3.0, 3.0), fine)
     # With knots where the places alone ask for them it is 15 um/s.
     assert np.std(off) < 7e-6
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_curve_along_which_a_tool_creeps_is_smoothed_as_well(seed: int) -> None:
+    """It goes on by an eighth of a step of its encoders a sample, and is off quickly."""
+    t = np.arange(0.0, 18.0, 0.004)
+    phases = Segmentation(4.8, 8.2, 11.5, 11.7, 18.0, 0.04, 0.0, 0.002, 0.011)
+    path = tool_path(Signal(t, _noisy(t, _jerked(t, 0.006, 8.0, 0.6), 1e-6, 2e-5, seed)), phases)
+    fine = np.arange(4.8, 8.5, 1e-3)
+    # By shapes of arms it is 2.4 to 2.6 um.
+    assert np.std(path.at(fine) - _jerked(fine, 0.006, 8.0, 0.6)) < 1.6e-6
 
 
 def test_samples_that_come_in_bundles_tell_a_way() -> None:
