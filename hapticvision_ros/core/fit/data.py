@@ -246,6 +246,9 @@ _CALMER: Final = 1.5
 _NORMAL_FROM_QUARTER: Final = 3.1387
 """Standard deviation of a normal error over the first quartile of its size, and how many times it
 that is taken for the noise of a tool that moves at most."""
+_STEADIER: Final = 0.3
+"""Noise by what is left of how the tool is accelerated, over that with it, from which on that is
+no noise."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
 _BRIEF_SWING: Final = 0.02
@@ -2885,26 +2888,24 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     # Held against their stamps: samples may come unevenly, and so may what their stamps say.
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     beside = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    # What a tool that is accelerated is beside that line is much, and nearly alike for neighbours.
+    again = beside[1:-1] - (1.0 - share[1:-1]) * beside[:-2] - share[1:-1] * beside[2:]
     rounded = rounding(value)
-    noise = _spread(beside, 1.5, rounded)
+    noise = _least_spread(beside, again, rounded)
     steps = np.abs(np.diff(value))
     nothing = _EXACT[0] * float(np.ptp(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
     moves = steps > _MOVING * noise
-    fast = moves[2:] & moves[1:-1] & moves[:-2]
-    many: np.bool_ | bool = np.count_nonzero(fast) >= _FEWEST
+    fast = moves[2:-1] & moves[1:-2] & moves[:-3]
+    off = beside[1:-1][fast]
+    many: np.bool_ | bool = off.size >= _FEWEST
     if many and noise == 0.0 == rounded:
         # Much of what a tool goes to and fro is no noise.
-        many = np.mean(np.abs(beside[1:][fast]) < nothing) <= _ON_LINES
+        many = np.mean(np.abs(off) < nothing) <= _ON_LINES
     if many:
-        off, alike = beside[1:][fast], 1.5
-        if noise == 0.0:
-            # Readings that round, or none of any noise: what a tool that is accelerated is beside
-            # the line is then much, and alike for neighbours.
-            off, alike = np.diff(beside)[fast], 5.0
         # Much of that may be how a tool goes that swings for long after each change of speed.
         calm = _CALMER * _NORMAL_FROM_QUARTER * float(np.quantile(np.abs(off), 0.25))
-        noise = max(noise, min(_spread(off, alike, rounded), calm / math.sqrt(alike)))
+        noise = max(noise, min(_least_spread(off, again[fast], rounded), calm / math.sqrt(1.5)))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     noise = max(noise, rounded)
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
@@ -2914,6 +2915,15 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
         if resting and changes > 0.1 * moving.size:
             noise = max(noise, 0.3 * float(moving.min()))
     return noise
+
+
+def _least_spread(beside: FloatArray, again: FloatArray, rounded: float) -> float:
+    """Return what `_spread` does of samples beside lines, or of these beside lines in turn."""
+    noise = _spread(beside, 1.5, rounded)
+    if again.size < _FEWEST:
+        return noise
+    other = _spread(again, 4.375, rounded)
+    return other if other < _STEADIER * noise else noise
 
 
 def _spread(off: FloatArray, alike: float, rounded: float) -> float:

@@ -41,6 +41,8 @@ _STILL: Final = 0.5
 """Bandwidth of a part that shows no jerk, over one over its length [rad]."""
 _STEP: Final = 1.5
 """Ratio of the bandwidths that are tried."""
+_FURTHER: Final = 5
+"""Those beyond one over the interval, that are tried where this is the best of the others."""
 _LONGER: Final = 4
 """Ratio of the lengths of parts that are looked at in turn."""
 _SHOWN: Final = 3.0
@@ -121,12 +123,18 @@ def adapted(
         still = _STILL / (many * interval)
         least = bandwidth.copy()
         widths = np.geomspace(still, 1.0 / interval, _tries(still * interval))
+        wider = widths[-1] * _STEP ** np.arange(_FURTHER + 1)
         for first in range(0, max(t.size - many // 2, 1), max(many // 2, 1)):
             part = slice(first, min(first + many, t.size))
             known = t[part], value[part], variance[part]
             best = _widest(*known, vague, unit, least[part], widths)
-            if best > 0:
-                bandwidth[part] = np.maximum(bandwidth[part], widths[best])
+            if best == 0:
+                continue
+            wide = widths[best]
+            if best == widths.size - 1:
+                # Between samples that are nearly exact the jerk counts.
+                wide = wider[_widest(*known, vague, unit, least[part], wider)]
+            bandwidth[part] = np.maximum(bandwidth[part], wide)
         if many == t.size:
             break
         many *= _LONGER

@@ -145,8 +145,10 @@ def _smooth(t: FloatArray, value: FloatArray, noise: float, alike: FloatArray | 
         levels += ripple.at(knots)
     interval = usual_interval(t)
     # Up to the bandwidth the way goes with the noise of the samples, whose speed has the power of
-    # the square of the frequency: a third of what it has at the end. At rest it is none.
-    wide = np.where(found.bandwidth > calm(interval), found.bandwidth, 0.0)
+    # the square of the frequency: a third of what it has at the end, which is that of the samples
+    # at most. At rest it is none.
+    most = math.pi / interval
+    wide = np.where(found.bandwidth > calm(interval), np.minimum(found.bandwidth, most), 0.0)
     if alike is not None:
         # As of longer intervals, up to the shortest time that is followed.
         longest = 1.0 / (np.maximum(wide, calm(interval)) * interval)

@@ -274,6 +274,48 @@ def test_the_speed_between_knots_is_hardly_off(seed: int) -> None:
     assert np.std(off) < 7e-6
 
 
+@pytest.mark.parametrize(
+    ('pushes', 'withdraws', 'noise', 'off'),
+    [(1.0, 1.0, 0.0, 1e-8), (1.0, 1.0, 1e-7, 1.2e-7), (2.0, 1.0, 1e-7, 1e-7)],
+)
+def test_a_quick_curve_is_followed_by_few_samples_that_are_nearly_exact(
+    pushes: float, withdraws: float, noise: float, off: float
+) -> None:
+    """How the tool is accelerated, up to 50 um beside a line, is no noise of its encoders."""
+    t = np.arange(0.0, 13.0, 0.02)
+    way = _jerked(t, 0.009, pushes, withdraws)
+    first, last = np.flatnonzero(way > 0.0)[[0, -1]]
+    stop = 0.5 + pushes
+    phases = Segmentation(t[first], stop, 8.0, t[last], 13.0, 0.04, 0.0, 0.002, 0.005)
+    fine = np.arange(t[first], stop, 1e-3)
+    for seed in range(3):
+        path = tool_path(Signal(t, _noisy(t, way, noise, 1e-9, seed)), phases)
+        assert path.noise < max(1.6 * noise, 5e-8)
+        assert np.std(path.at(fine) - _jerked(fine, 0.009, pushes, withdraws)) < off
+        # Samples tell nothing faster than themselves.
+        assert path.unsteady is not None
+        most = path.noise * np.sqrt(0.02 / 3.0) * np.pi / 0.02
+        assert 0.5 * most < path.unsteady.max() <= 1.001 * most
+
+
+def test_of_a_tool_that_hardly_rests_how_it_is_accelerated_is_no_noise_either() -> None:
+    t = np.arange(0.5, 12.0, 0.02)
+    way = _jerked(t, 0.009, 4.0, 4.0)
+    value = _noisy(t, way, 1e-8, 1e-9, 0)
+    path = tool_path(
+        Signal(t, value), Segmentation(2.4, 4.5, 8.0, 10.1, 12.0, 0.04, 0.0, 2e-3, 5e-3)
+    )
+    assert path.noise < 3e-8
+    fine = np.arange(2.4, 4.5, 1e-3)
+    assert np.std(path.at(fine) - _jerked(fine, 0.009, 4.0, 4.0)) < 2e-8
+
+
+def test_four_samples_of_the_encoders_are_a_path() -> None:
+    t = np.array([1.0, 2.0, 3.0, 4.0])
+    path = tool_path(Signal(t, np.array([-0.002, 0.0, 0.002, 0.003])), PHASES)
+    assert path.at(t).tolist() == pytest.approx([-0.002, 0.0, 0.002, 0.003])
+
+
 @pytest.mark.parametrize('seed', range(4))
 def test_a_curve_along_which_a_tool_creeps_is_smoothed_as_well(seed: int) -> None:
     """It goes on by an eighth of a step of its encoders a sample, and is off quickly."""
