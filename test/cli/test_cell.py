@@ -15,6 +15,7 @@
 """The verb `cell`: what it refuses, and that it starts and stops the whole cell."""
 
 import json
+import math
 import os
 from pathlib import Path
 import signal
@@ -200,7 +201,7 @@ def latest(heights: Signal) -> float:
     value = heights.value
     way = np.flatnonzero(value[: int(np.argmin(value))] < TOP)
     way = way[value[way] > value.min() + 5e-5]
-    return float(np.ptp(heights.t[way] + value[way] / SPEED))
+    return float(np.ptp(heights.t[way] + value[way] / SPEED)) if way.size else math.inf
 
 
 def steadily_recorded(run: list[str], environment: dict, folder: Path) -> tuple[Path, Signal]:

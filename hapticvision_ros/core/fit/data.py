@@ -246,6 +246,8 @@ _CALMER: Final = 1.5
 _NORMAL_FROM_QUARTER: Final = 3.1387
 """Standard deviation of a normal error over the first quartile of its size, and how many times it
 that is taken for the noise of a tool that moves at most."""
+_STRETCH: Final = 32
+"""Samples, one after another, that may go the straightest way."""
 _STEADIER: Final = 0.3
 """Noise by what is left of how the tool is accelerated, over that with it, from which on that is
 no noise."""
@@ -2891,7 +2893,8 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     # What a tool that is accelerated is beside that line is much, and nearly alike for neighbours.
     again = beside[1:-1] - (1.0 - share[1:-1]) * beside[:-2] - share[1:-1] * beside[2:]
     rounded = rounding(value)
-    noise = _least_spread(beside, again, rounded)
+    rests = _at_its_calmest(value)
+    noise = _least_spread(beside, again, rounded, rests)
     steps = np.abs(np.diff(value))
     nothing = _EXACT[0] * float(np.ptp(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
@@ -2905,7 +2908,8 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     if many:
         # Much of that may be how a tool goes that swings for long after each change of speed.
         calm = _CALMER * _NORMAL_FROM_QUARTER * float(np.quantile(np.abs(off), 0.25))
-        noise = max(noise, min(_least_spread(off, again[fast], rounded), calm / math.sqrt(1.5)))
+        on_its_way = _least_spread(off, again[fast], rounded, rests)
+        noise = max(noise, min(on_its_way, calm / math.sqrt(1.5)))
     moving = steps[steps > 1e-12 * float(np.abs(value).max())]
     noise = max(noise, rounded)
     if moving.size and moving.size < 0.7 * steps.size and noise < float(moving.min()):
@@ -2917,13 +2921,29 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     return noise
 
 
-def _least_spread(beside: FloatArray, again: FloatArray, rounded: float) -> float:
-    """Return what `_spread` does of samples beside lines, or of these beside lines in turn."""
+def _least_spread(beside: FloatArray, again: FloatArray, rounded: float, rests: float) -> float:
+    """
+    Return what `_spread` does of samples beside lines, or of these beside lines in turn.
+
+    What has been filtered is alike for neighbours as well: it is seen where the tool rests.
+    """
     noise = _spread(beside, 1.5, rounded)
     if again.size < _FEWEST:
         return noise
     other = _spread(again, 4.375, rounded)
-    return other if other < _STEADIER * noise else noise
+    return min(noise, max(other, rests)) if other < _STEADIER * noise else noise
+
+
+def _at_its_calmest(value: FloatArray) -> float:
+    """Return the standard deviation about a line of the samples that go the straightest way."""
+    parts = value[: value.size // _STRETCH * _STRETCH].reshape(-1, _STRETCH)
+    if not parts.size:
+        return math.inf
+    along = np.arange(_STRETCH) - 0.5 * (_STRETCH - 1)
+    level = parts - parts.mean(axis=1, keepdims=True)
+    slope = level @ along / (along @ along)
+    left = level - slope[:, np.newaxis] * along
+    return math.sqrt(float(np.sum(left**2, axis=1).min()) / (_STRETCH - 2))
 
 
 def _spread(off: FloatArray, alike: float, rounded: float) -> float:

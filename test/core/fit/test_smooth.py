@@ -19,13 +19,20 @@ from dataclasses import replace
 import math
 
 from hapticvision_ros.core.fit.campaign import _jumps, _unsure, SHARPEST
-from hapticvision_ros.core.fit.data import _smooth_way, FitTrial, prepare, tool_path
+from hapticvision_ros.core.fit.data import (
+    _encoder_noise,
+    _smooth_way,
+    FitTrial,
+    prepare,
+    tool_path,
+)
 from hapticvision_ros.core.fit.ripple import candidates
 from hapticvision_ros.core.fit.smooth import _through, _try, adapted, vaguely
 from hapticvision_ros.core.fit.way import smooth
 from hapticvision_ros.core.records import Segmentation, Signal, Trial
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 PHASES = Segmentation(1.0, 3.0, 13.0, 13.1, 20.0, 0.04, 0.0, 0.003, 0.006)
 
@@ -300,14 +307,27 @@ def test_a_quick_curve_is_followed_by_few_samples_that_are_nearly_exact(
 
 def test_of_a_tool_that_hardly_rests_how_it_is_accelerated_is_no_noise_either() -> None:
     t = np.arange(0.5, 12.0, 0.02)
-    way = _jerked(t, 0.009, 4.0, 4.0)
+    # What rests may sink.
+    way = _jerked(t, 0.009, 4.0, 4.0) + 1e-6 * t
     value = _noisy(t, way, 1e-8, 1e-9, 0)
     path = tool_path(
         Signal(t, value), Segmentation(2.4, 4.5, 8.0, 10.1, 12.0, 0.04, 0.0, 2e-3, 5e-3)
     )
     assert path.noise < 3e-8
     fine = np.arange(2.4, 4.5, 1e-3)
-    assert np.std(path.at(fine) - _jerked(fine, 0.009, 4.0, 4.0)) < 2e-8
+    assert np.std(path.at(fine) - _jerked(fine, 0.009, 4.0, 4.0) - 1e-6 * fine) < 2e-8
+
+
+def test_noise_that_has_been_filtered_is_no_acceleration() -> None:
+    """It is as alike for neighbours, and shows where the tool rests."""
+    t = np.arange(0.0, 13.0, 0.002)
+    noise = lfilter(*butter(4, 0.1), np.random.default_rng(0).standard_normal(t.size))
+    value = _jerked(t, 0.009, 2.0, 1.0) + 1e-6 * noise / noise.std()
+    # Fourth differences tell 1.6 nm.
+    assert _encoder_noise(t, value) > 2e-8
+    # A tool that never rests shows nothing of that.
+    t = np.arange(0.0, 20.0, 0.02)
+    assert _encoder_noise(t, _noisy(t, 0.004 * np.sin(0.5 * t), 1e-8, 1e-10, 0)) < 4e-7
 
 
 def test_four_samples_of_the_encoders_are_a_path() -> None:
