@@ -251,6 +251,9 @@ _STRETCH: Final = 32
 _STEADIER: Final = 0.3
 """Noise by what is left of how the tool is accelerated, over that with it, from which on that is
 no noise."""
+_NO_FILTER: Final = 3e-3
+"""The same, from which on it is none either where no rest shows it: noise that has been filtered
+at a fiftieth of the rate of the samples is four times as much."""
 _MOVING: Final = 6.0
 """Way between two samples of the encoders over their noise from which on the tool moves."""
 _BRIEF_SWING: Final = 0.02
@@ -2931,6 +2934,8 @@ def _least_spread(beside: FloatArray, again: FloatArray, rounded: float, rests: 
     if again.size < _FEWEST:
         return noise
     other = _spread(again, 4.375, rounded)
+    if other < _NO_FILTER * noise:
+        return other
     return min(noise, max(other, rests)) if other < _STEADIER * noise else noise
 
 
