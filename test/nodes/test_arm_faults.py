@@ -362,6 +362,10 @@ class Cell:
         self.phases, self.heights = probe.listen(PHASE), probe.listen(TOOL_HEIGHT)
         self.reports = probe.listen(PUSH_REPORT)
         self.controller = self.start_controller()
+        if self.watchdog is not None:
+            # The controller has someone to command when the watchdog is there. What that passes on
+            # before it knows of the robot is lost: the first it sends to it is a stop.
+            until(lambda: self.robot.commands, 'a watchdog that has found the robot')
 
     def start_controller(self):
         return self._start_node(
