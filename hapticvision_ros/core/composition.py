@@ -23,7 +23,7 @@ effect declares. The fit works with the vector theta, in which parameters that h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 import math
@@ -35,6 +35,7 @@ from hapticvision_ros.core.effects.declaration import (
     DrivenTrial,
     Effect,
     EffectParameter,
+    Observe,
     Prediction,
     Scale,
     without_law,
@@ -279,21 +280,16 @@ class Model:
             touched=response.force != 0.0,
         )
         prediction.look(trial.t, trial.height_t)
-        for effect, own in zip(self.declared, self._owned, strict=True):
-            if effect.observe is not None:
-                effect.observe(
-                    trial,
-                    [float(values[i]) for i in own],
-                    prediction,
-                    own if directions else (),
-                )
+        # A search may go where nothing is finite: it turns back from there.
+        with np.errstate(over='ignore', invalid='ignore'):
+            for observe, own in self._observed:
+                observe(trial, [float(values[i]) for i in own], prediction, own * directions)
         if directions:
-            for row, log in enumerate(self.log):
-                if log:
-                    scale = values[row] if np.isfinite(values[row]) else 0.0
-                    prediction.d_force[row] *= scale
-                    prediction.d_height[row] *= scale
-                    prediction.d_surface[row] *= scale
+            for row in self._scaled_last:
+                scale = _slope_of_exp(values[row])
+                prediction.d_force[row] *= scale
+                prediction.d_height[row] *= scale
+                prediction.d_surface[row] *= scale
         return prediction
 
     @cached_property
@@ -307,6 +303,15 @@ class Model:
         )
 
     @cached_property
+    def _observed(self) -> tuple[tuple[Observe, tuple[int, ...]], ...]:
+        """Return what its effects do to the sensors, with `_owned`."""
+        return tuple(
+            (effect.observe, own)
+            for effect, own in zip(self.declared, self._owned, strict=True)
+            if effect.observe is not None
+        )
+
+    @cached_property
     def _rows_of_the_chain(self) -> tuple[int, ...]:
         """Return the parameters that the chain depends on, among all p + q."""
         rows = [*range(len(BASE_PARAMETERS))]
@@ -314,6 +319,33 @@ class Model:
             if effect.shape is not None:
                 rows += own
         return (*rows, len(self.parameters))
+
+    @cached_property
+    def _scaled_last(self) -> tuple[int, ...]:
+        """
+        Return the parameters with logarithms whose derivatives are not scaled in the chain.
+
+        To the derivatives of the others no sensor adds any more.
+        """
+        observed = {
+            row
+            for effect, own in zip(self.declared, self._owned, strict=True)
+            for row in own
+            if effect.observe is not None or effect.shape is None
+        }
+        return tuple(row for row, log in enumerate(self.log) if log and row in observed)
+
+    def _scales(self, values: FloatArray, rows: Sequence[int]) -> FloatArray:
+        """Return what the chain's derivatives in some parameters are multiplied by."""
+        p, last = len(self.parameters), self._scaled_last
+        return np.array(
+            [
+                _slope_of_exp(values[row])
+                if row < p and self.log[row] and row not in last
+                else 1.0
+                for row in rows
+            ]
+        )
 
     def _draft(self, trial: DrivenTrial, values: Sequence[complex]) -> Draft:
         """Return the chain for all p + q values."""
@@ -334,7 +366,7 @@ class Model:
             slots = neutral()
             slots[[Slot.K1, Slot.C1, Slot.C2]] = values[: len(BASE_PARAMETERS)]
             slots[Slot.REFERENCE_DEPTH], slots[Slot.OFFSET] = trial.reference_depth, values[onset]
-            return Chain(slots, np.zeros(0), np.zeros(0)), _PLAIN if rows else None
+            return Chain(slots, _NO_UNITS, _NO_UNITS), self._plain(values) if rows else None
         # Trials that are alike to all effects have the same chain but for their onsets.
         asked = values[self._shaping].tobytes(), trial.reference_depth
         known: _Drafted | None = self.__dict__.get('_drafted')
@@ -345,7 +377,16 @@ class Model:
                 self.__dict__['_drafted'] = known
         slots = known.chain.slots.copy()
         slots[Slot.OFFSET] += values[onset]
-        return replace(known.chain, slots=slots), known.directions if rows else None
+        chain = Chain(slots, known.chain.unit_stiffness, known.chain.unit_viscosity)
+        return chain, known.directions if rows else None
+
+    @staticmethod
+    def _plain(values: FloatArray) -> Chain:
+        """Return what the logarithms of K1, C1 and C2, and the onset, are of a chain."""
+        slots = _PLAIN.copy()
+        for row in range(len(BASE_PARAMETERS)):
+            slots[row] *= _slope_of_exp(values[row])
+        return Chain(slots, _NO_DIRECTIONS, _NO_DIRECTIONS)
 
     @cached_property
     def _shaping(self) -> list[int]:
@@ -383,7 +424,8 @@ class Model:
                     d_units[:, j, k] = [number.imag for number in draft.units[i]]
                 steps[j] = step
                 given[row] = value
-        return chain, Chain(d_slots / steps, *(d_units / steps))
+        factors = self._scales(values, rows)[:, np.newaxis] / steps
+        return chain, Chain(d_slots * factors, *(d_units * factors))
 
 
 class _Watched:
@@ -413,10 +455,15 @@ class _Drafted(NamedTuple):
     directions: Chain | None
 
 
-_PLAIN: Final = Chain(
-    np.eye(len(Slot))[[Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET]], *np.zeros((2, 4, 0))
-)
-"""What the parameters of a chain without effects, and the onset, are of it."""
+_PLAIN: Final = np.eye(len(Slot))[[Slot.K1, Slot.C1, Slot.C2, Slot.OFFSET]]
+"""What K1, C1, C2 and the onset are of a chain without effects."""
+_NO_UNITS: Final = np.zeros(0)
+_NO_DIRECTIONS: Final = np.zeros((len(_PLAIN), 0))
+
+
+def _slope_of_exp(value: float) -> float:
+    """Return the derivative of a parameter in its logarithm, of which an infinite one has none."""
+    return float(value) if math.isfinite(value) else 0.0
 
 
 class _Split(NamedTuple):
@@ -446,7 +493,6 @@ class _Split(NamedTuple):
 
 def _put_together(split: Prediction, turns: Turns) -> None:
     """Make a prediction in split steps one in steps."""
-    split.force = turns.means(split.force[np.newaxis])[0]
-    split.d_force = turns.means(split.d_force)
-    split.surface = turns.at_ends(split.surface)
-    split.d_surface = turns.at_ends(split.d_surface)
+    split.force, split.d_force, split.surface, split.d_surface = turns.joined(
+        (split.force, split.d_force), (split.surface, split.d_surface)
+    )

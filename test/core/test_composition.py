@@ -16,13 +16,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
+from hapticvision_ros.core import composition
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.errors import UsageError
+from hapticvision_ros.core.models.chain import Response
 from hapticvision_ros.core.models.three_element import respond, ThreeElement
 from hapticvision_ros.core.models.turns import Turns
+from hapticvision_ros.core.records import FloatArray
 import numpy as np
 import pytest
 
@@ -105,6 +109,26 @@ def test_no_derivatives_are_made_where_none_are_asked_for(driven: Callable, scal
     assert np.array_equal(bare.height, full.height)
 
 
+@pytest.mark.parametrize('name', [effect.name for effect in EVERY_LAW if effect.observe])
+def test_a_response_that_is_not_finite_is_passed_on_in_silence(
+    name: str, driven: Callable, scale: Scale, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search turns back from there."""
+
+    def breaks(t: FloatArray, displacement: FloatArray, *chains: Any) -> Response:
+        sunk = np.where(t > 2.0, -np.inf, 0.0)
+        force = np.where(t[1:] > 2.0, np.inf, 0.0)
+        return Response(force, sunk, np.empty((0, force.size)), np.empty((0, sunk.size)))
+
+    model = Model((name,))
+    monkeypatch.setattr(composition, 'respond', breaks)
+    for sign in (1.0, -1.0):
+        values = model.values(model.first_guess(scale))
+        values[3:] *= np.where(model.log[3:], 1.0, sign)
+        told = model.predict(driven(), model.theta(values), directions=False)
+        assert not np.isfinite(told.force).all() or not np.isfinite(told.height).all()
+
+
 def test_heights_before_and_after_the_trial_are_held(driven: Callable, scale: Scale) -> None:
     trial = driven()
     object.__setattr__(trial, 'height_t', np.array([-5.0, 10.0, 49.0, 80.0]))
@@ -164,8 +188,12 @@ def test_several_turns_in_one_step_are_parts_of_it() -> None:
     assert turns.displacement.tolist() == [0.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0]
     assert turns.ends.tolist() == [0, 1, 4, 6]
     parts = np.array([[7.0, 4.0, 8.0, 10.0, 1.0, 3.0]])
-    assert turns.means(parts).tolist() == [[7.0, 8.0, 2.0]]
-    assert turns.at_ends(turns.t).tolist() == [0.0, 1.0, 2.0, 3.0]
+    times = turns.t[np.newaxis]
+    mean, d_mean, end, d_end = turns.joined((parts[0], -parts), (turns.t, -times))
+    assert mean.tolist() == [7.0, 8.0, 2.0]
+    assert d_mean.tolist() == [[-7.0, -8.0, -2.0]]
+    assert end.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert d_end.tolist() == [[-0.0, -1.0, -2.0, -3.0]]
 
 
 def test_damage_before_a_trial_is_that_of_the_deepest_push_at_most(driven: Callable) -> None:

@@ -31,6 +31,7 @@ H. D. Patterson and R. Thompson, Biometrika 58, 1971, 545-554, doi:10.1093/biome
 from collections.abc import Callable, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
@@ -397,6 +398,34 @@ class _Weights:
     height: Whitener | None
 
 
+class _Known(NamedTuple):
+    """
+    What is known of a trial's own parameters beforehand: that they are near zero.
+
+    Parameters
+    ----------
+    places : ndarray of int, shape (k,)
+        Which they are in the state.
+    weights : ndarray, shape (k,)
+        One over how far from zero they are.
+    rows : ndarray, shape (k, p + own)
+        The same as rows of the trial's Jacobian.
+
+    """
+
+    places: NDArray[np.intp]
+    weights: FloatArray
+    rows: FloatArray
+
+    @classmethod
+    def of(cls, known: Sequence[int], weights: Sequence[float], place: slice, p: int) -> '_Known':
+        """Return it for the places among the own parameters of a trial."""
+        own = np.array(known, dtype=np.intp)
+        rows = np.zeros((own.size, p + place.stop - place.start))
+        rows[np.arange(own.size), p + own] = weights
+        return cls(place.start + own, np.array(weights), rows)
+
+
 class Problem:
     """
     The least-squares problem of a campaign: whitened residuals and Jacobian.
@@ -626,17 +655,26 @@ class Problem:
 
         Each trial is reduced to its triangular factor, with the same squares and products.
         """
-        residuals, blocks, p = [], [], self.p
+        p, first = self.p, 0
+        whole, blocks = np.empty(self._reduced_size), np.zeros((self._reduced_size, self.size))
         for index, place in enumerate(self.places):
             residual, jacobian = self.reduced(state, index)
             if not np.isfinite(residual).all():
                 return np.array([math.inf]), np.zeros((1, self.size))
-            block = np.zeros((residual.size, self.size))
-            block[:, :p] = jacobian[:, :p]
-            block[:, place] = jacobian[:, p:]
-            residuals.append(residual)
-            blocks.append(block)
-        return np.concatenate(residuals), np.vstack(blocks)
+            here = slice(first, first + residual.size)
+            whole[here] = residual
+            blocks[here, :p] = jacobian[:, :p]
+            blocks[here, place] = jacobian[:, p:]
+            first = here.stop
+        return whole, blocks
+
+    @cached_property
+    def _reduced_size(self) -> int:
+        """Return how many residuals `evaluate` has."""
+        return sum(
+            self.p + place.stop - place.start + 1 + known.places.size
+            for place, known in zip(self.places, self._known, strict=True)
+        )
 
     def evaluate_trial(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
         """
@@ -663,22 +701,27 @@ class Problem:
             Reduced to the triangular factor, with what is known of the parameters beforehand.
 
         """
-        trial, weights, place = self.trials[index], self._weights[index], self.places[index]
+        weights, known = self._weights[index], self._known[index]
         force, height = self.records(state, index)
         rows = weights.force(force)
         if weights.height is not None:
             rows = np.hstack((rows, weights.height(height)))
-        if not np.isfinite(rows).all():
-            return np.array([math.inf]), np.zeros((1, rows.shape[0] - 1))
         factor = triangle(rows)
-        known, weight = self._known(trial)
-        prior = np.zeros((known.size, factor.shape[1] - 1))
-        prior[np.arange(known.size), self.p + known] = weight
-        residual = np.append(factor[:, -1], state[place][known] * weight)
-        return residual, np.vstack((factor[:, :-1], prior))
+        if not np.isfinite(factor).all():
+            return np.array([math.inf]), np.zeros((1, rows.shape[0] - 1))
+        residual = np.concatenate((factor[:, -1], state[known.places] * known.weights))
+        return residual, np.concatenate((factor[:, :-1], known.rows))
 
-    def _known(self, trial: FitTrial) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return which own parameters are known beforehand to be near zero, and how well."""
+    @cached_property
+    def _known(self) -> 'tuple[_Known, ...]':
+        """Return which own parameters of each trial are known beforehand to be near zero."""
+        return tuple(
+            _Known.of(*self._known_of(trial), place, self.p)
+            for trial, place in zip(self.trials, self.places, strict=True)
+        )
+
+    def _known_of(self, trial: FitTrial) -> tuple[list[int], list[float]]:
+        """Return the same of a trial, as places among its own, and how well."""
         # The onset is near the detected contact, and trials are alike.
         known = [0, *range(self.q, self.q + self.scatter.size)]
         weights = [1.0 / trial.onset_std, *(1.0 / self.scatter)]
@@ -688,7 +731,7 @@ class Problem:
         if trial.has_force_zero:
             known.append(self._rest + (trial.rest_std > 0.0))
             weights.append(1.0 / (_ZERO * trial.peak_force))
-        return np.array(known, dtype=np.intp), np.array(weights)
+        return known, weights
 
     def scatter_price(self, state: FloatArray, jacobian: FloatArray | None = None) -> float:
         """
@@ -705,12 +748,11 @@ class Problem:
         if jacobian is None:
             _, jacobian = self.evaluate(state)
         first = 0
-        for trial, place in zip(self.trials, self.places, strict=True):
-            known, _ = self._known(trial)
+        for known, place in zip(self._known, self.places, strict=True):
             # The factor of its parameters and residual, then what is known beforehand.
             last = first + self.p + place.stop - place.start + 1
             own = jacobian[first:last, place]
-            first = last + known.size
+            first = last + known.places.size
             columns = np.arange(own.shape[1])
             chosen = (columns >= self.q) & (columns < self.q + k)
             basis, singular, _ = np.linalg.svd(own[:, ~chosen], full_matrices=False)
@@ -722,14 +764,11 @@ class Problem:
 
     def priors(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what is known beforehand, as rows of a Jacobian (k, size), residuals (k,)."""
-        rows, residuals = [], []
-        for trial, place in zip(self.trials, self.places, strict=True):
-            known, weight = self._known(trial)
-            block = np.zeros((known.size, self.size))
-            block[np.arange(known.size), place.start + known] = weight
-            rows.append(block)
-            residuals.append(state[place][known] * weight)
-        return np.vstack(rows), np.concatenate(residuals)
+        places = np.concatenate([known.places for known in self._known])
+        weights = np.concatenate([known.weights for known in self._known])
+        rows = np.zeros((places.size, self.size))
+        rows[np.arange(places.size), places] = weights
+        return rows, state[places] * weights
 
     def noise_records(
         self, state: FloatArray, jumps: Sequence[FloatArray]

@@ -766,7 +766,7 @@ class FitTrial:
         displacement = self.path.held(self._finest, shift, self._unmoved)
         if split is not None:
             moved.__dict__['turns'] = replace(split, displacement=displacement)
-            displacement = split.at_ends(displacement)
+            displacement = displacement[split.ends]
         moved.__dict__['displacement'] = displacement
         return moved
 

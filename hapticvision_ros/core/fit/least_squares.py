@@ -145,13 +145,12 @@ def triangle(rows: FloatArray) -> FloatArray:
     Parameters
     ----------
     rows : ndarray, shape (p, m)
-        The p columns of the matrix, one after another, whose squares are finite; they are
-        overwritten.
+        The p columns of the matrix, one after another; they are overwritten.
 
     Returns
     -------
     ndarray, shape (p, p)
-        The factor, whose products are those of the matrix.
+        The factor, whose products are those of the matrix; not finite where they are not.
 
     """
     factor = np.zeros((rows.shape[0],) * 2)

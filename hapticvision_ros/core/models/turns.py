@@ -71,28 +71,58 @@ class Turns:
         ends = np.arange(t.size) + np.searchsorted(places, np.arange(t.size), side='right')
         return cls(np.insert(t, places, at), np.insert(displacement, places, there), ends)
 
-    def means(self, value: FloatArray) -> FloatArray:
-        """Return the means over the steps of means over the split ones; (p, N) to (p, n)."""
-        result = np.empty((value.shape[0], self.ends.size - 1))
-        _means(self.t, self.ends, value, result)
-        return result
+    def joined(
+        self, means: tuple[FloatArray, FloatArray], ends: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, ...]:
+        """
+        Put together what is known of the split steps.
 
-    def at_ends(self, value: FloatArray) -> FloatArray:
-        """Return what is known at the ends of the split steps at those of the steps."""
-        return np.take(value, self.ends, axis=-1)
+        Parameters
+        ----------
+        means : (ndarray, ndarray), shapes (N,) and (p, N)
+            Means over the split steps, of a value and of its derivatives.
+        ends : (ndarray, ndarray), shapes (N + 1,) and (p, N + 1)
+            What is known at their ends.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (n,), (p, n), (n + 1,) and (p, n + 1)
+            The means over the steps, and what is known at their ends.
+
+        """
+        p, n = means[1].shape[0], self.ends.size - 1
+        joined = np.empty(n), np.empty((p, n)), np.empty(n + 1), np.empty((p, n + 1))
+        _join(self.t, self.ends, *means, *ends, *joined)
+        return joined
 
 
 @kernel(error_model='numpy')
-def _means(t, ends, value, result):  # type: ignore[no-untyped-def]
-    """Fill `result`."""
-    for j in range(value.shape[0]):
-        for i in range(ends.size - 1):
-            first = ends[i]
-            last = ends[i + 1]
-            if last == first + 1:
-                result[j, i] = value[j, first]
-                continue
+def _join(  # type: ignore[no-untyped-def]
+    t, ends, mean, d_mean, end, d_end, out, d_out, end_out, d_end_out
+):
+    """Fill the last four."""
+    rows = d_mean.shape[0]
+    end_out[0] = end[ends[0]]
+    for j in range(rows):
+        d_end_out[j, 0] = d_end[j, ends[0]]
+    for i in range(ends.size - 1):
+        first = ends[i]
+        last = ends[i + 1]
+        end_out[i + 1] = end[last]
+        for j in range(rows):
+            d_end_out[j, i + 1] = d_end[j, last]
+        if last == first + 1:
+            out[i] = mean[first]
+            for j in range(rows):
+                d_out[j, i] = d_mean[j, first]
+            continue
+        share = 1.0 / (t[last] - t[first])
+        total = 0.0
+        for k in range(first, last):
+            total += mean[k] * (t[k + 1] - t[k])
+        out[i] = total * share
+        for j in range(rows):
             total = 0.0
             for k in range(first, last):
-                total += value[j, k] * (t[k + 1] - t[k])
-            result[j, i] = total / (t[last] - t[first])
+                total += d_mean[j, k] * (t[k + 1] - t[k])
+            d_out[j, i] = total * share

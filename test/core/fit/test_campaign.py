@@ -102,6 +102,18 @@ def test_the_start_does_not_matter(factors: tuple[float, ...]) -> None:
     assert np.all(np.abs(off) < 0.1 * np.sqrt(np.diag(usual.covariance)))
 
 
+def test_where_the_model_is_not_finite_a_search_turns_back() -> None:
+    result = fit(campaign(1, 2))
+    state = result.state.copy()
+    state[0] = 800.0
+    residual, jacobian = result.problem.reduced(state, 1)
+    assert residual.tolist() == [math.inf]
+    assert not jacobian.any()
+    residual, jacobian = result.problem.evaluate(state)
+    assert residual.tolist() == [math.inf]
+    assert jacobian.shape == (1, state.size)
+
+
 @pytest.mark.parametrize('length', [1, 3, 100])
 def test_glitches_are_set_aside_and_told(length: int) -> None:
     """A spike, or half a second of nonsense, moves no parameter and is reported."""
