@@ -1819,10 +1819,10 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
     """
     moved = False
     for index, trial in enumerate(problem.trials):
-        chosen = _near_touch(trial)
+        chosen = trial.near_touch
         if not chosen.stop:
             continue
-        head = trial.head(chosen.stop)
+        head = trial.touch_head
         place = problem.places[index].start
         old = float(state[place])
         first = int(np.argmax(head.displacement > -old))
@@ -1843,14 +1843,6 @@ def replace_onsets(problem: Problem, state: FloatArray, noise: SensorNoise, blur
     return moved
 
 
-def _near_touch(trial: FitTrial) -> slice:
-    """Return the steps of the push in which the touch may be."""
-    near = np.flatnonzero(np.abs(trial.displacement) <= trial.touch_reach)
-    last = min(int(near[-1]), int(np.argmax(trial.displacement))) if near.size else 0
-    # A record that begins in contact, or after it, has none.
-    return slice(int(near[0]), last) if near.size and near[0] < last else slice(0, 0)
-
-
 def _squares(
     problem: Problem, state: FloatArray, index: int, head: FitTrial, chosen: slice
 ) -> float:
@@ -1863,10 +1855,10 @@ def _squares(
 def _find_onset(problem: Problem, state: FloatArray, index: int, *, finely: bool = False) -> None:
     """Set the onset of one trial to where its first force is followed best."""
     trial, place = problem.trials[index], problem.places[index].start
-    reach, chosen = _ONSET_REACH * trial.onset_std, _near_touch(trial)
+    reach, chosen = _ONSET_REACH * trial.onset_std, trial.near_touch
     if not chosen.stop:
         return
-    head = trial.head(chosen.stop)
+    head = trial.touch_head
     zooms = _ONSET_ZOOMS
     if finely:
         push = trial.pushed[0]

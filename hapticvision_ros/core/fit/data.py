@@ -762,7 +762,8 @@ class FitTrial:
             return self
         split = self.turns
         moved = copy(self)
-        moved.__dict__.pop('full_rate', None)
+        for known in ('full_rate', 'near_touch', 'touch_head'):
+            moved.__dict__.pop(known, None)
         displacement = self.path.held(self._finest, shift, self._unmoved)
         if split is not None:
             moved.__dict__['turns'] = replace(split, displacement=displacement)
@@ -815,6 +816,19 @@ class FitTrial:
     def depth(self) -> float:
         """Return how far the tool goes beyond the detected contact [m]."""
         return float(self.path.displacement.max())
+
+    @cached_property
+    def near_touch(self) -> slice:
+        """Return the steps of the push in which the touch may be: none where `stop` is zero."""
+        near = np.flatnonzero(np.abs(self.displacement) <= self.touch_reach)
+        last = min(int(near[-1]), int(np.argmax(self.displacement))) if near.size else 0
+        # A record that begins in contact, or after it, has none.
+        return slice(int(near[0]), last) if near.size and near[0] < last else slice(0, 0)
+
+    @cached_property
+    def touch_head(self) -> 'FitTrial':
+        """Return the head of the trial up to the last of these: it is looked at very often."""
+        return self.head(self.near_touch.stop)
 
     def head(self, steps: int) -> 'FitTrial':
         """Return the first steps of the trial, and one for the rest; with the force alone."""

@@ -76,6 +76,7 @@ def test_a_tool_that_is_held_elsewhere_goes_on_as_the_encoders_tell(
     for trial in coarse:
         assert trial.rest_std == pytest.approx(1e-5 / np.sqrt(12.0), rel=0.01)
         assert trial.held(0.0) is trial
+        kept = trial.touch_head
         for shift in (SHIFT, -2.0 * trial.rest_std):
             moved = trial.held(shift)
             beside = (moved.displacement - trial.displacement) / shift
@@ -90,6 +91,11 @@ def test_a_tool_that_is_held_elsewhere_goes_on_as_the_encoders_tell(
             # It stops sooner or later, and does not come back from where it went too far.
             pressed = (trial.t > trial.t_contact) & (trial.t < trial.t_release - 0.1)
             assert np.diff(moved.displacement[pressed]).min() > -1e-8
+            # What is kept of the one is not taken for the other's.
+            head = moved.touch_head
+            assert head is not kept
+            steps = slice(moved.near_touch.stop + 1)
+            assert np.array_equal(head.displacement[:-1], moved.displacement[steps])
 
 
 def test_a_tool_that_creeps_while_it_is_held_is_held_until_it_goes_on() -> None:
