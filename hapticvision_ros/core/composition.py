@@ -283,9 +283,9 @@ class Model:
         # A search may go where nothing is finite: it turns back from there.
         with np.errstate(over='ignore', invalid='ignore'):
             for observe, own in self._observed:
-                observe(trial, [float(values[i]) for i in own], prediction, own * directions)
-        if directions:
-            for row in self._scaled_last:
+                theirs = [float(values[i]) for i in own]
+                observe(trial, theirs, prediction, own if directions else ())
+            for row in self._scaled_last if directions else ():
                 scale = _slope_of_exp(values[row])
                 prediction.d_force[row] *= scale
                 prediction.d_height[row] *= scale
@@ -325,15 +325,10 @@ class Model:
         """
         Return the parameters with logarithms whose derivatives are not scaled in the chain.
 
-        To the derivatives of the others no sensor adds any more.
+        They are those to which a sensor adds; on the others it acts linearly, scaled or not.
         """
-        observed = {
-            row
-            for effect, own in zip(self.declared, self._owned, strict=True)
-            for row in own
-            if effect.observe is not None or effect.shape is None
-        }
-        return tuple(row for row, log in enumerate(self.log) if log and row in observed)
+        added = {row for _, own in self._observed for row in own}
+        return tuple(row for row, log in enumerate(self.log) if log and row in added)
 
     def _scales(self, values: FloatArray, rows: Sequence[int]) -> FloatArray:
         """Return what the chain's derivatives in some parameters are multiplied by."""
@@ -360,7 +355,11 @@ class Model:
     def _chains(
         self, trial: DrivenTrial, values: FloatArray, rows: Sequence[int]
     ) -> tuple[Chain, Chain | None]:
-        """Return the chain, and how its numbers change with the values of some rows, if any."""
+        """
+        Return the chain, and how its numbers change with the parameters of some rows, if any.
+
+        That is with their logarithms where they have some, but for those of `_scaled_last`.
+        """
         onset = len(self.parameters)
         if all(effect.shape is None for effect in self.declared):
             slots = neutral()

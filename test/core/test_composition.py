@@ -23,7 +23,7 @@ from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.effects import EVERY_LAW
 from hapticvision_ros.core.effects.declaration import Scale
 from hapticvision_ros.core.errors import UsageError
-from hapticvision_ros.core.models.chain import Response
+from hapticvision_ros.core.models.chain import Chain, Response
 from hapticvision_ros.core.models.three_element import respond, ThreeElement
 from hapticvision_ros.core.models.turns import Turns
 from hapticvision_ros.core.records import FloatArray
@@ -109,23 +109,25 @@ def test_no_derivatives_are_made_where_none_are_asked_for(driven: Callable, scal
     assert np.array_equal(bare.height, full.height)
 
 
+@pytest.mark.parametrize('directions', [False, True])
 @pytest.mark.parametrize('name', [effect.name for effect in EVERY_LAW if effect.observe])
-def test_a_response_that_is_not_finite_is_passed_on_in_silence(
-    name: str, driven: Callable, scale: Scale, monkeypatch: pytest.MonkeyPatch
+def test_a_response_that_is_not_finite_warns_of_nothing(
+    name: str, directions: bool, driven: Callable, scale: Scale, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A search turns back from there."""
 
-    def breaks(t: FloatArray, displacement: FloatArray, *chains: Any) -> Response:
-        sunk = np.where(t > 2.0, -np.inf, 0.0)
+    def breaks(t: FloatArray, displacement: FloatArray, chain: Chain, ways: Any) -> Response:
+        rows = 0 if ways is None else ways.slots.shape[0]
         force = np.where(t[1:] > 2.0, np.inf, 0.0)
-        return Response(force, sunk, np.empty((0, force.size)), np.empty((0, sunk.size)))
+        sunk = np.where(t > 2.0, -np.inf, 0.0)
+        return Response(force, sunk, np.tile(force, (rows, 1)), np.tile(sunk, (rows, 1)))
 
     model = Model((name,))
     monkeypatch.setattr(composition, 'respond', breaks)
     for sign in (1.0, -1.0):
         values = model.values(model.first_guess(scale))
         values[3:] *= np.where(model.log[3:], 1.0, sign)
-        told = model.predict(driven(), model.theta(values), directions=False)
+        told = model.predict(driven(), model.theta(values), directions=directions)
         assert not np.isfinite(told.force).all() or not np.isfinite(told.height).all()
 
 

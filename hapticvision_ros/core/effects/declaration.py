@@ -292,7 +292,9 @@ type Observe = Callable[[DrivenTrial, Sequence[float], Prediction, Sequence[int]
 """
 (trial, values, prediction, rows): put the effect into the prediction and into all its derivatives,
 and fill the rows of the effect's own parameters, which come in as zeros. `rows` is empty where no
-derivatives were asked for. The values are those of `parameters`, then of `trial_parameters`.
+derivatives were asked for. The values are those of `parameters`, then of `trial_parameters`. The
+derivatives in its own are in the values; those in others may be in logarithms: it has to be linear
+in them.
 """
 
 

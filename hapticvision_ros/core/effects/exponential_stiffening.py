@@ -39,16 +39,14 @@ def _observe(
 ) -> None:
     rate = values[0]
     depth = 0.5 * (prediction.surface[1:] + prediction.surface[:-1])
-    # A search may go where nothing is finite: it turns back from there.
-    with np.errstate(over='ignore', invalid='ignore'):
-        growth = np.exp(rate * depth)
-        prediction.force *= growth
-        if not rows:
-            return
-        prediction.d_force *= growth
-        d_depth = 0.5 * (prediction.d_surface[:, 1:] + prediction.d_surface[:, :-1])
-        prediction.d_force += rate * prediction.force * d_depth
-        prediction.d_force[rows[0]] += depth * prediction.force
+    growth = np.exp(rate * depth)
+    prediction.force *= growth
+    if not rows:
+        return
+    prediction.d_force *= growth
+    d_depth = 0.5 * (prediction.d_surface[:, 1:] + prediction.d_surface[:, :-1])
+    prediction.d_force += rate * prediction.force * d_depth
+    prediction.d_force[rows[0]] += depth * prediction.force
 
 
 EFFECT = Effect(

@@ -713,7 +713,7 @@ class Problem:
         return residual, np.concatenate((factor[:, :-1], known.rows))
 
     @cached_property
-    def _known(self) -> 'tuple[_Known, ...]':
+    def _known(self) -> tuple[_Known, ...]:
         """Return which own parameters of each trial are known beforehand to be near zero."""
         return tuple(
             _Known.of(*self._known_of(trial), place, self.p)

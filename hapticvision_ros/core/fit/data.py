@@ -762,6 +762,7 @@ class FitTrial:
             return self
         split = self.turns
         moved = copy(self)
+        # Where the tool is is known anew; when it does what stays.
         for known in ('full_rate', 'near_touch', 'touch_head'):
             moved.__dict__.pop(known, None)
         displacement = self.path.held(self._finest, shift, self._unmoved)
@@ -827,7 +828,7 @@ class FitTrial:
 
     @cached_property
     def touch_head(self) -> 'FitTrial':
-        """Return the head of the trial up to the last of these: it is looked at very often."""
+        """Return the head up to the end of `near_touch`: made once, it is looked at very often."""
         return self.head(self.near_touch.stop)
 
     def head(self, steps: int) -> 'FitTrial':

@@ -72,7 +72,7 @@ class Turns:
         return cls(np.insert(t, places, at), np.insert(displacement, places, there), ends)
 
     def joined(
-        self, means: tuple[FloatArray, FloatArray], ends: tuple[FloatArray, FloatArray]
+        self, means: tuple[FloatArray, FloatArray], at_ends: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, ...]:
         """
         Put together what is known of the split steps.
@@ -81,7 +81,7 @@ class Turns:
         ----------
         means : (ndarray, ndarray), shapes (N,) and (p, N)
             Means over the split steps, of a value and of its derivatives.
-        ends : (ndarray, ndarray), shapes (N + 1,) and (p, N + 1)
+        at_ends : (ndarray, ndarray), shapes (N + 1,) and (p, N + 1)
             What is known at their ends.
 
         Returns
@@ -91,9 +91,9 @@ class Turns:
 
         """
         p, n = means[1].shape[0], self.ends.size - 1
-        joined = np.empty(n), np.empty((p, n)), np.empty(n + 1), np.empty((p, n + 1))
-        _join(self.t, self.ends, *means, *ends, *joined)
-        return joined
+        result = np.empty(n), np.empty((p, n)), np.empty(n + 1), np.empty((p, n + 1))
+        _join(self.t, self.ends, *means, *at_ends, *result)
+        return result
 
 
 @kernel(error_model='numpy')
@@ -101,28 +101,23 @@ def _join(  # type: ignore[no-untyped-def]
     t, ends, mean, d_mean, end, d_end, out, d_out, end_out, d_end_out
 ):
     """Fill the last four."""
-    rows = d_mean.shape[0]
+    _join_row(t, ends, mean, end, out, end_out)
+    for j in range(d_mean.shape[0]):
+        _join_row(t, ends, d_mean[j], d_end[j], d_out[j], d_end_out[j])
+
+
+@kernel(error_model='numpy')
+def _join_row(t, ends, mean, end, out, end_out):  # type: ignore[no-untyped-def]
+    """Fill the last two."""
     end_out[0] = end[ends[0]]
-    for j in range(rows):
-        d_end_out[j, 0] = d_end[j, ends[0]]
     for i in range(ends.size - 1):
         first = ends[i]
         last = ends[i + 1]
         end_out[i + 1] = end[last]
-        for j in range(rows):
-            d_end_out[j, i + 1] = d_end[j, last]
         if last == first + 1:
             out[i] = mean[first]
-            for j in range(rows):
-                d_out[j, i] = d_mean[j, first]
             continue
-        share = 1.0 / (t[last] - t[first])
         total = 0.0
         for k in range(first, last):
             total += mean[k] * (t[k + 1] - t[k])
-        out[i] = total * share
-        for j in range(rows):
-            total = 0.0
-            for k in range(first, last):
-                total += d_mean[j, k] * (t[k + 1] - t[k])
-            d_out[j, i] = total * share
+        out[i] = total / (t[last] - t[first])

@@ -108,7 +108,7 @@ def test_where_the_model_is_not_finite_a_search_turns_back() -> None:
     state[0] = 800.0
     residual, jacobian = result.problem.reduced(state, 1)
     assert residual.tolist() == [math.inf]
-    assert not jacobian.any()
+    assert np.isfinite(jacobian).all()
     residual, jacobian = result.problem.evaluate(state)
     assert residual.tolist() == [math.inf]
     assert jacobian.shape == (1, state.size)

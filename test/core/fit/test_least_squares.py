@@ -206,6 +206,16 @@ def test_a_start_without_a_value_is_refused() -> None:
         minimise(lambda theta: (np.array([np.nan]), np.ones((1, 1))), np.array([1.0]))
 
 
+@pytest.mark.parametrize('value', [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize('row', [0, 2, 4])
+def test_a_triangular_factor_tells_what_is_not_finite(row: int, value: float) -> None:
+    rows = np.random.default_rng(5).standard_normal((5, 40))
+    rows[1] = rows[3] = 0.0
+    assert np.isfinite(triangle(rows.copy())).all()
+    rows[row, 7] = value
+    assert not np.isfinite(triangle(rows)).all()
+
+
 def test_a_triangular_factor_has_the_products_of_its_matrix() -> None:
     random = np.random.default_rng(4)
     rows = random.standard_normal((12, 3000)) * np.geomspace(1e-3, 1e3, 12)[:, np.newaxis]
