@@ -114,6 +114,20 @@ def test_where_the_model_is_not_finite_a_search_turns_back() -> None:
     assert jacobian.shape == (1, state.size)
 
 
+def test_what_is_known_of_onsets_and_zeros_beforehand_is_weighed() -> None:
+    result = fit(campaign(1, 2))
+    problem, state = result.problem, result.state + 1e-3
+    rows, aim = problem.priors(state)
+    assert aim.size == 4
+    assert aim == pytest.approx(rows @ state)
+    assert np.count_nonzero(aim) == 4
+    residual, jacobian = problem.evaluate(state)
+    per_trial = residual.size // 2
+    known = np.add.outer(per_trial * np.arange(1, 3), np.arange(-2, 0)).ravel()
+    assert np.array_equal(jacobian[known], rows)
+    assert np.array_equal(residual[known], aim)
+
+
 @pytest.mark.parametrize('length', [1, 3, 100])
 def test_glitches_are_set_aside_and_told(length: int) -> None:
     """A spike, or half a second of nonsense, moves no parameter and is reported."""
