@@ -51,7 +51,12 @@ from hapticvision_ros.core.fit.campaign import (
     turn_phases,
 )
 from hapticvision_ros.core.fit.data import FitTrial
-from hapticvision_ros.core.fit.least_squares import Evaluated, NotFiniteError, triangle
+from hapticvision_ros.core.fit.least_squares import (
+    Evaluated,
+    left_over,
+    NotFiniteError,
+    triangle,
+)
 from hapticvision_ros.core.fit.noise_model import (
     Blocks,
     Record,
@@ -356,7 +361,7 @@ class Workbench:
         for state in states:
             residual, jacobian = problem.evaluate(state)
             if np.isfinite(residual).all():
-                left.append(Start(state, residual, jacobian, _promise(residual, jacobian)))
+                left.append(Start(state, residual, jacobian, left_over(residual, jacobian)))
         left.sort(key=lambda each: each.left)
         promise = near.cost - left[0].left if left else -math.inf
         # What another body promises is less exact: it is further away.
@@ -629,7 +634,7 @@ class Workbench:
             residual, jacobian = problem.evaluate(state)
             if not np.isfinite(residual).all():
                 return math.inf
-            return _promise(residual, np.delete(jacobian, held, axis=1))
+            return left_over(residual, np.delete(jacobian, held, axis=1))
 
         return [left(state) for state in states]
 
@@ -680,6 +685,8 @@ class Workbench:
                     raise
                 known = at_best
                 break
+            if not turn:
+                end = problem.search_on(end, tolerance=1e-4)
             state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
@@ -745,13 +752,6 @@ def _bare(blocks: Blocks, residual: FloatArray) -> Record:
     """Return a record without derivatives: its likelihood is the plain one."""
     none = np.zeros((0, residual.size))
     return Record(blocks, residual, none, none)
-
-
-def _promise(residual: FloatArray, jacobian: FloatArray) -> float:
-    """Return the least squares that the linear model promises."""
-    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-    explained = left[:, singular > 1e-10 * singular[0]].T @ residual
-    return float(residual @ residual - explained @ explained)
 
 
 def _is_beyond(start: Start, first: Start, reached: float, promised: float) -> bool:

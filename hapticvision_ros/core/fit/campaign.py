@@ -32,6 +32,7 @@ from collections.abc import Callable, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 import math
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
@@ -43,6 +44,7 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
 from hapticvision_ros.core.fit.least_squares import (
     Evaluated,
+    left_over,
     minimise,
     NotFiniteError,
     Solution,
@@ -161,6 +163,14 @@ _LOST: Final = 10.0
 """Misfit over the noise from which on the base model may be in a wrong valley."""
 _MISSED: Final = 2.0
 """The same from which on the body that most trials tell by themselves is tried as well."""
+_MOST_HOPS: Final = 8
+"""So often at most other searches begin beside the best one."""
+_ACROSS: Final = (1.0, 3.0, 10.0, 30.0)
+"""How far beside it they begin, in standard errors."""
+_MOST_PROMISING: Final = 3
+"""How many of these are made."""
+_DEEPER: Final = 1.0
+"""By how much the squares drop at least in a valley that is worth to look beside again."""
 _HOPS: Final = 4
 _BESIDE: Final = tuple(
     np.array(factors)
@@ -523,6 +533,66 @@ class Problem:
             tolerance=tolerance,
             max_evaluations=max_evaluations,
         )
+
+    def search_on(self, found: Solution, *, tolerance: float) -> Solution:
+        """
+        Search from places beside the end of a search as well, where the object is touched again.
+
+        An object that comes after a tool which has left it makes a force that jumps when it gets
+        there. When that is hangs on the parameters, and each sample that the jump passes as they
+        change makes a valley of the noise in it: a search ends in the first.
+
+        Parameters
+        ----------
+        found : Solution
+            Where the search has ended.
+        tolerance : float
+            As of `search`.
+
+        Returns
+        -------
+        Solution
+            The best state found.
+
+        """
+        for _ in range(_MOST_HOPS):
+            if not self._touches_again(found.theta):
+                break
+            ends = [
+                self.search(state, tolerance=tolerance, max_evaluations=_STEPS)
+                for state in self._beside(found)
+            ]
+            best = min(ends, key=lambda end: end.cost, default=found)
+            if best.cost > found.cost - _DEEPER:
+                break
+            found = best
+        return found
+
+    def _touches_again(self, state: FloatArray) -> bool:
+        """Return whether the tool loses the object in a trial and touches it again."""
+        for index in range(len(self.trials)):
+            touched = self.predict(state, index, directions=False).touched
+            assert touched is not None
+            if np.count_nonzero(np.diff(touched.astype(np.int8)) > 0) > 1:
+                return True
+        return False
+
+    def _beside(self, found: Solution) -> list[FloatArray]:
+        """Return the most promising states along the axes of the shared parameters' error."""
+        covariance = np.linalg.pinv(found.jacobian.T @ found.jacobian)[: self.p, : self.p]
+        variances, axes = np.linalg.eigh(covariance)
+        moves = (axes * np.sqrt(np.maximum(variances, 0.0))).T
+        promising = list[tuple[float, FloatArray]]()
+        for move, far, sign in product(moves, _ACROSS, (1.0, -1.0)):
+            state = found.theta.copy()
+            reach = self.reach[: self.p]
+            state[: self.p] += np.clip(sign * far * move, -reach, reach)
+            state = np.clip(state, *self.bounds)
+            residual, jacobian = self.evaluate(state)
+            if np.isfinite(residual).all() and np.isfinite(jacobian).all():
+                promising.append((left_over(residual, jacobian[:, self.p :]), state))
+        promising.sort(key=lambda each: each[0])
+        return [state for _, state in promising[:_MOST_PROMISING]]
 
     def set_noise(
         self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray] | None = None
@@ -1341,6 +1411,7 @@ def _weighted(
         blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         problem.set_noise(force_noise, height_noise, problem.unsure(state, blur))
         solution = problem.search(state, tolerance=_TOLERANCE)
+        solution = problem.search_on(solution, tolerance=_TOLERANCE)
         state = solution.theta
         if body is not None and turn == 0:
             # The next turn goes on from there.
@@ -1660,7 +1731,7 @@ def _search(
     values = dict(zip(('K1', 'C1', 'C2'), body, strict=True))
     problem = Problem(base, trials)
     given = {} if start is None else dict(start)
-    starts = [values]
+    starts = [_part_by_part(trials, values, force_noise, height_noise)]
     slow = slow_body(trials, values)
     if slow is not None:
         starts.append(slow)
@@ -1729,6 +1800,27 @@ def _search(
     return whole, [state], shown
 
 
+def _part_by_part(
+    trials: Sequence[FitTrial],
+    values: Mapping[str, float],
+    force_noise: SensorNoise,
+    height_noise: SensorNoise,
+) -> Mapping[str, float]:
+    """
+    Return the body that trials show up to where the tool comes again, and again.
+
+    Where the object is then hangs on all that went before. All that comes later leads a search
+    astray whose body is not near, and what comes first does not.
+    """
+    base, count = Model(), 1
+    while any(len(trial.returns) >= count for trial in trials):
+        heads = [t.up_to(t.returns[count - 1]) if len(t.returns) >= count else t for t in trials]
+        end = _ended(Problem(base, heads), values, force_noise, height_noise)
+        values = dict(zip(values, base.values(end.state[: len(values)]).tolist(), strict=True))
+        count *= 2
+    return values
+
+
 class _Valley(NamedTuple):
     """Where a first search has ended: its squares, with those of the noise, and the state."""
 
@@ -1750,7 +1842,8 @@ def _ended(
         find_onsets(problem, state)
         # Where the force jumps depends on the onsets.
         problem.set_noise(force_noise, height_noise, problem.unsure(state))
-        state = problem.search(state, tolerance=1e-4).theta
+        found = problem.search(state, tolerance=1e-4)
+        state = problem.search_on(found, tolerance=1e-4).theta
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
     residual, _ = problem.evaluate(state)
     squares = float(residual @ residual)

@@ -220,6 +220,8 @@ _PARTS: Final = 4
 _QUICK: Final = 24.0
 """Straight parts of an interval of the force over which the tool changes its speed steadily; and
 intervals that this takes at most where it matters."""
+_RETURNS: Final = 0.05
+"""Part of the depth by which a tool goes back, and down again, that comes again."""
 _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
 _FEWEST_ON_LINE: Final = 3
@@ -819,6 +821,23 @@ class FitTrial:
         return float(self.path.displacement.max())
 
     @cached_property
+    def returns(self) -> tuple[int, ...]:
+        """Return the steps in which the tool, gone back on its way, is about to come again."""
+        later = self.path.t > self.t_contact
+        # How far it is away from the object does not matter.
+        ways = np.maximum(self.path.displacement[later], 0.0)
+        least = _RETURNS * self.depth
+        turned, at, extreme, goes_down = list[float](), 0.0, 0.0, True
+        for t, depth in zip(self.path.t[later].tolist(), ways.tolist(), strict=True):
+            if depth == extreme or goes_down == (depth > extreme):
+                at, extreme = t, depth
+            elif abs(depth - extreme) > least:
+                if not goes_down:
+                    turned.append(at)
+                at, extreme, goes_down = t, depth, not goes_down
+        return tuple((np.searchsorted(self.t, turned, side='right') - 1).tolist())
+
+    @cached_property
     def near_touch(self) -> slice:
         """Return the steps of the push in which the touch may be: none where `stop` is zero."""
         near = np.flatnonzero(np.abs(self.displacement) <= self.touch_reach)
@@ -858,6 +877,16 @@ class FitTrial:
             height_t=np.empty(0),
             height=np.empty(0),
             height_count=np.empty(0),
+        )
+
+    def up_to(self, steps: int) -> 'FitTrial':
+        """Return the same with the displacement heights up to there."""
+        seen = slice(int(np.searchsorted(self.height_t, self.t[steps])))
+        return replace(
+            self.head(steps),
+            height_t=self.height_t[seen],
+            height=self.height[seen],
+            height_count=self.height_count[seen],
         )
 
     def without(self, bad: NDArray[np.bool_]) -> 'FitTrial':

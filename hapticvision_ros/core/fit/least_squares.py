@@ -313,6 +313,21 @@ def minimise(
         held = _held(theta, lower, upper, jacobian.T @ residual)
 
 
+def left_over(residual: FloatArray, jacobian: FloatArray) -> float:
+    """
+    Return the least squares that the linear model promises.
+
+    Parameters
+    ----------
+    residual, jacobian : ndarray, shapes (m,), (m, p)
+        The residual and its derivatives.
+
+    """
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    explained = left[:, singular > 1e-10 * singular[0]].T @ residual
+    return float(residual @ residual - explained @ explained)
+
+
 def _held(
     theta: FloatArray, lower: FloatArray | float, upper: FloatArray | float, gradient: FloatArray
 ) -> NDArray[np.bool_]:
