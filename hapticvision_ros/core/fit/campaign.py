@@ -159,10 +159,8 @@ _SMALLEST_GLITCH: Final = 1e-3
 """No residual below this share of the largest force is one."""
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
-_LOST: Final = 10.0
-"""Misfit over the noise from which on the base model may be in a wrong valley."""
 _MISSED: Final = 2.0
-"""The same from which on the body that most trials tell by themselves is tried as well."""
+"""Misfit over the noise from which on the body that most trials tell is tried as well."""
 _MOST_HOPS: Final = 8
 """So often at most other searches begin beside the best one."""
 _ACROSS: Final = (1.0, 3.0, 10.0, 30.0)
@@ -171,22 +169,6 @@ _MOST_PROMISING: Final = 3
 """How many of these are made."""
 _DEEPER: Final = 1.0
 """By how much the squares drop at least in a valley that is worth to look beside again."""
-_HOPS: Final = 4
-_BESIDE: Final = tuple(
-    np.array(factors)
-    for factors in (
-        (1.0, 1.0, 3.0),
-        (1.0, 0.3, 1.0),
-        (0.3, 1.0, 1.0),
-        (0.3, 0.3, 0.3),
-        (3.0, 3.0, 3.0),
-        (1.0, 3.0, 1.0),
-        (3.0, 1.0, 1.0),
-        (1.0, 1.0, 0.3),
-    )
-)
-_NEARER: Final = 0.9
-"""Rounds, factors of K1, C1 and C2 that are tried beside the best, and what makes it worth one."""
 _NAMED: Final = 3
 """Samples set aside whose times are told."""
 _NEIGHBOURS: Final = 64
@@ -1744,23 +1726,8 @@ def _search(
         each = np.array([_of_body(identify([trial], force_noise.std)) for trial in trials])
         usual = dict(zip(values, np.exp(np.median(np.log(each), axis=0)), strict=True))
         ends.append(_ended(problem, usual, force_noise, height_noise))
-    for _ in range(_HOPS):
-        # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
-        ends.sort(key=lambda end: end.deviance)
-        if ends[0].squares < _LOST**2 * samples:
-            break
-        # So may any where a tool goes to and fro: others beside the best are looked at.
-        nearby = base.values(ends[0].state[:3])
-        others = [
-            _ended(
-                problem, dict(zip(values, nearby * beside, strict=True)), force_noise, height_noise
-            )
-            for beside in _BESIDE
-        ]
-        nearest = min(others, key=lambda end: end.deviance)
-        if nearest.squares > _NEARER * ends[0].squares:
-            break
-        ends = [nearest]
+    # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
+    ends.sort(key=lambda end: end.deviance)
     state = ends[0].state
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
     K1, C1, C2 = base.values(state[:3]).tolist()
