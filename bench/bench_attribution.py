@@ -85,6 +85,10 @@ STEPS = (1e-9, 1e-6, 5e-6, 2e-5)
 """Steps of the encoders of arms that move at least jerk, in turn [m]."""
 EXACT = 1e-8
 """Step below which encoders have no other noise [m]."""
+GOES_BACK, MOST_SWINGS = (0.2, 1.0), 4
+"""Parts of the depth by which a tool goes back that goes to and fro, and how often at most."""
+KINDS = {'slow': 'slow arms', 'curved': 'at least jerk', 'to_and_fro': 'to and fro'}
+"""Ways of the arm that may be asked for, as the tables have them."""
 NEAR = 0.1
 """Relative error of the misfit that a strength may have."""
 FOLLOWED = 500.0
@@ -134,6 +138,7 @@ def make(
     clouds: bool = False,
     slow: bool = False,
     curved: bool = False,
+    to_and_fro: bool = False,
 ) -> Campaign:
     """Return a campaign of one of the worlds."""
     if world == 'grid':
@@ -153,6 +158,11 @@ def make(
         if step < EXACT:
             sensors = replace(sensors, encoder_noise=0.0)
         campaign = replace(campaign, sensors=sensors, curved=True)
+    if to_and_fro:
+        random = np.random.default_rng((seed, 4))
+        share, swings = random.uniform(*GOES_BACK), int(random.integers(1, MOST_SWINGS + 1))
+        pushes = (replace(p, swings=swings, swing=share * p.depth) for p in campaign.pushes)
+        campaign = replace(campaign, pushes=tuple(pushes))
     return campaign
 
 
@@ -236,11 +246,7 @@ def fitted_strength(
 def case(task: dict[str, Any]) -> dict[str, Any]:
     """Run one case; return what came of it."""
     seed, names = task['seed'], task['effects']
-    kinds = {
-        'clouds': task['clouds'],
-        'slow': task.get('slow', False),
-        'curved': task.get('curved', False),
-    }
+    kinds = {'clouds': task['clouds'], **{kind: task.get(kind, False) for kind in KINDS}}
     campaign = make(task['world'], seed, task['scatter'], **kinds)
     shape = float(np.random.default_rng((seed, 5)).uniform())
     result = dict(task)
@@ -329,10 +335,7 @@ PLAN = (
 def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield the cases that are asked for."""
     common = {'world': args.world, 'scatter': args.scatter, 'clouds': args.clouds}
-    if args.slow:
-        common['slow'] = True
-    if args.curved:
-        common['curved'] = True
+    common |= {kind: True for kind in KINDS if getattr(args, kind)}
     for seed in range(args.first, args.first + args.none):
         yield {**common, 'seed': seed, 'effects': [], 'r': 0.0}
     every = OTHER_LAWS if args.laws else OUTSIDE if args.outside else LIBRARY
@@ -352,7 +355,7 @@ def tasks(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 def key(task: dict[str, Any]) -> str:
     """Return what tells a case from others."""
     given = [task[k] for k in ('world', 'scatter', 'clouds', 'seed', 'effects', 'r')]
-    return json.dumps([*given, task.get('slow', False), task.get('curved', False)])
+    return json.dumps([*given, *(task.get(kind, False) for kind in KINDS)])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -365,6 +368,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--slow', action='store_true', help='arms of 0.01 to 0.3 m/s^2')
     made.add_argument(
         '--curved', action='store_true', help='arms at least jerk, encoders of 1 nm to 20 um'
+    )
+    made.add_argument(
+        '--to-and-fro', action='store_true', help='tools that go back, and down again'
     )
     made.add_argument('--none', type=int, default=0, help='campaigns without an effect')
     made.add_argument('--seeds', type=int, default=0, help='campaigns an effect')
@@ -483,9 +489,7 @@ def rates(results: list[dict[str, Any]]) -> list[str]:
     ]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for r in results:
-        world = f'{r["world"]}, slow arms' if r.get('slow') else r['world']
-        if r.get('curved'):
-            world += ', at least jerk'
+        world = ', '.join([r['world'], *(told for way, told in KINDS.items() if r.get(way))])
         groups.setdefault((world, r['clouds'], r['scatter'], kind(r), r['r']), []).append(r)
     for (world, clouds, scatter, what, size), of in sorted(groups.items()):
         singles = [each[0] in names(r) for r in of for each in r['sets'] if len(each) == 1]
@@ -601,7 +605,7 @@ def summary(results: list[dict[str, Any]]) -> str:
     """Return the tables in Markdown."""
     failed = sum('error' in r for r in results)
     results = [r for r in results if 'skipped' not in r and 'error' not in r]
-    others = ('scatter', 'clouds', 'slow', 'curved')
+    others = ('scatter', 'clouds', *KINDS)
     plain = [
         r for r in results if r['world'] == 'grid' and not any(r.get(each) for each in others)
     ]
