@@ -325,8 +325,9 @@ def test_a_running_cell_decides_for_a_yield_force_that_nobody_told(domain, tmp_p
     run = [HAPTICVISION, 'cell', '--run', '--config', str(config), '--object', 'gel']
     run += ['--speeds', '0.004', '--depths', '0.006', '--hold-time', '2', '--recover-time', '2']
     run += ['--rest-time', '0.1', '--autonomous', '--budget-trials', '6', '--out', str(bags)]
+    # On a busy machine a push and a look at it take half a minute, and six may be made.
     done = subprocess.run(
-        run, env=environment, capture_output=True, text=True, timeout=2 * DEADLINE, check=False
+        run, env=environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     looks = json.loads((bags / 'autonomous.json').read_text())

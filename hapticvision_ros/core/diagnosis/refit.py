@@ -273,7 +273,7 @@ class Workbench:
         return self._settled(problem, state, found.force_noise, found.height_noise, found.blur)
 
     def refit(
-        self, model: Model, near: Refit, looked: Look | None = None, *, closely: bool = True
+        self, model: Model, near: Refit, looked: Look | None = None, *, beside: bool = True
     ) -> Refit | None:
         """
         Fit a model, starting from a part of it or from one with more effects.
@@ -286,7 +286,7 @@ class Workbench:
             Where to start.
         looked : Look, optional
             What `look` has found for the same two.
-        closely : bool
+        beside : bool
             Whether searches go on beside where they end, as in `Problem.search_on`.
 
         Returns
@@ -323,14 +323,14 @@ class Workbench:
         noise = near.force_noise, near.height_noise, near.blur
         known = begin.residual, begin.jacobian
         try:
-            found = self._settled(problem, begin.theta, *noise, known=known, closely=closely)
+            found = self._settled(problem, begin.theta, *noise, known=known, beside=beside)
             more = set(near.model.effects) < set(model.effects)
             if more and found.deviance > near.deviance + _ENOUGH:
                 # More effects explain no less: a blur and a noise that are the most likely ones
                 # beside each other need not be so of all.
                 problem.set_noise(near.force_noise, near.height_noise, near.jumps)
                 blurred = self._settled(
-                    problem, begin.theta, *noise, known=known, blurred=True, closely=closely
+                    problem, begin.theta, *noise, known=known, blurred=True, beside=beside
                 )
                 found = min(found, blurred, key=lambda each: each.deviance)
                 # What is asked of the problem goes with the noise that was kept.
@@ -662,14 +662,14 @@ class Workbench:
         known: Evaluated | None = None,
         *,
         blurred: bool = False,
-        closely: bool = True,
+        beside: bool = True,
     ) -> Refit:
         """
         Return the best parameters and the noise that goes with them.
 
         What is `known` is what the problem was evaluated to at the state beside its noise. Moments
         of jumps are no better known than before where that is `blurred`. A search goes on
-        `closely` beside where it ends.
+        `beside` where it ends.
         """
         best, at_best, begin = None, None, state
         for turn in range(_ROUNDS):
@@ -693,8 +693,8 @@ class Workbench:
                     raise
                 known = at_best
                 break
-            if closely and not turn:
-                end = problem.search_on(end, tolerance=1e-4)
+            if beside and not turn:
+                end = problem.search_on(end)
             state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))

@@ -160,13 +160,13 @@ _SMALLEST_GLITCH: Final = 1e-3
 _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _MISSED: Final = 2.0
-"""Misfit over the noise from which on the body that most trials tell is tried as well."""
+"""Misfit over the noise from which on the body that most trials tell, each alone, is tried."""
 _MOST_HOPS: Final = 8
 """So often at most other searches begin beside the best one."""
 _ACROSS: Final = (1.0, 3.0, 10.0, 30.0)
 """How far beside it they begin, in standard errors."""
 _MOST_PROMISING: Final = 3
-"""How many of these are made."""
+"""How many others."""
 _DEEPER: Final = 1.0
 """By how much the squares drop at least in a valley that is worth to look beside again."""
 _NAMED: Final = 3
@@ -516,7 +516,7 @@ class Problem:
             max_evaluations=max_evaluations,
         )
 
-    def search_on(self, found: Solution, *, tolerance: float) -> Solution:
+    def search_on(self, found: Solution) -> Solution:
         """
         Search from places beside the end of a search as well, where the object is touched again.
 
@@ -528,53 +528,65 @@ class Problem:
         ----------
         found : Solution
             Where the search has ended.
-        tolerance : float
-            As of `search`.
 
         Returns
         -------
         Solution
-            The best state found.
+            The deepest that was found, to a small part of one; `found` itself where the tool
+            touches the object once.
 
         """
+        if not self._touches_again(found.theta):
+            return found
+        found = self._ended(found)
         for _ in range(_MOST_HOPS):
-            if not self._touches_again(found.theta):
-                break
             ends = [
-                self.search(state, tolerance=tolerance, max_evaluations=_STEPS)
-                for state in self._beside(found)
+                self.search(state, tolerance=1e-4, max_evaluations=_STEPS, known=known)
+                for state, known in self._beside(found)
             ]
-            best = min(ends, key=lambda end: end.cost, default=found)
+            if not ends:
+                break
+            best = self._ended(min(ends, key=lambda end: end.cost))
             if best.cost > found.cost - _DEEPER:
                 break
             found = best
         return found
+
+    def _ended(self, found: Solution) -> Solution:
+        """Return where a search ends that goes on from there to the bottom."""
+        known = found.residual, found.jacobian
+        return self.search(found.theta, tolerance=_TOLERANCE, known=known)
 
     def _touches_again(self, state: FloatArray) -> bool:
         """Return whether the tool loses the object in a trial and touches it again."""
         for index in range(len(self.trials)):
             touched = self.predict(state, index, directions=False).touched
             assert touched is not None
-            if np.count_nonzero(np.diff(touched.astype(np.int8)) > 0) > 1:
+            if np.count_nonzero(np.diff(touched.astype(np.int8), prepend=0) > 0) > 1:
                 return True
         return False
 
-    def _beside(self, found: Solution) -> list[FloatArray]:
+    def _beside(self, found: Solution) -> list[tuple[FloatArray, Evaluated]]:
         """Return the most promising states along the axes of the shared parameters' error."""
-        covariance = np.linalg.pinv(found.jacobian.T @ found.jacobian)[: self.p, : self.p]
-        variances, axes = np.linalg.eigh(covariance)
-        moves = (axes * np.sqrt(np.maximum(variances, 0.0))).T
-        promising = list[tuple[float, FloatArray]]()
+        covariance = found.covariance()[: self.p, : self.p]
+        errors = np.sqrt(np.diag(covariance))
+        # One that is on a bound, or that nothing depends on, stays where it is.
+        free = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
+        errors, reach = errors[free], self.reach[free]
+        correlation = covariance[np.ix_(free, free)] / np.outer(errors, errors)
+        variances, axes = np.linalg.eigh(correlation)
+        moves = errors * (axes * np.sqrt(np.maximum(variances, 0.0))).T
+        promising = list[tuple[float, FloatArray, Evaluated]]()
         for move, far, sign in product(moves, _ACROSS, (1.0, -1.0)):
             state = found.theta.copy()
-            reach = self.reach[: self.p]
-            state[: self.p] += np.clip(sign * far * move, -reach, reach)
+            state[free] += np.clip(sign * far * move, -reach, reach)
             state = np.clip(state, *self.bounds)
             residual, jacobian = self.evaluate(state)
             if np.isfinite(residual).all() and np.isfinite(jacobian).all():
-                promising.append((left_over(residual, jacobian[:, self.p :]), state))
+                left = left_over(residual, jacobian[:, self.p :])
+                promising.append((left, state, (residual, jacobian)))
         promising.sort(key=lambda each: each[0])
-        return [state for _, state in promising[:_MOST_PROMISING]]
+        return [each[1:] for each in promising[:_MOST_PROMISING]]
 
     def set_noise(
         self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray] | None = None
@@ -1393,7 +1405,7 @@ def _weighted(
         blur = problem.sharpest(state, force_noise, blur).at_least(_SAMPLE)
         problem.set_noise(force_noise, height_noise, problem.unsure(state, blur))
         solution = problem.search(state, tolerance=_TOLERANCE)
-        solution = problem.search_on(solution, tolerance=_TOLERANCE)
+        solution = problem.search_on(solution)
         state = solution.theta
         if body is not None and turn == 0:
             # The next turn goes on from there.
@@ -1713,20 +1725,25 @@ def _search(
     values = dict(zip(('K1', 'C1', 'C2'), body, strict=True))
     problem = Problem(base, trials)
     given = {} if start is None else dict(start)
-    starts = [_part_by_part(trials, values, force_noise, height_noise)]
+    starts = [values]
     slow = slow_body(trials, values)
     if slow is not None:
         starts.append(slow)
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})
     ends = [_ended(problem, each, force_noise, height_noise) for each in starts]
+    parts = _part_by_part(trials, values, force_noise, height_noise)
+    if parts is not values:
+        # In its place, if it ends deeper: what comes of each start takes long to be made out.
+        other = _ended(problem, parts, force_noise, height_noise)
+        ends[0] = min(ends[0], other, key=lambda end: end.deviance)
     samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in trials)
     if len(trials) > 1 and min(end.squares for end in ends) > _MISSED**2 * samples:
         # Where contacts are told wrongly all trials together mislead; most by themselves may not.
         each = np.array([_of_body(identify([trial], force_noise.std)) for trial in trials])
         usual = dict(zip(values, np.exp(np.median(np.log(each), axis=0)), strict=True))
         ends.append(_ended(problem, usual, force_noise, height_noise))
-    # A start that was asked for may lead into a wrong valley; the usual one stands beside it.
+    # A start that was asked for may lead into a wrong valley; others stand beside it.
     ends.sort(key=lambda end: end.deviance)
     state = ends[0].state
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
@@ -1776,12 +1793,12 @@ def _part_by_part(
     """
     Return the body that trials show up to where the tool comes again, and again.
 
-    Where the object is then hangs on all that went before. All that comes later leads a search
-    astray whose body is not near, and what comes first does not.
+    Where the object is then hangs on all that went before, so that what comes later leads a search
+    astray whose body is not near.
     """
     base, count = Model(), 1
-    while any(len(trial.returns) >= count for trial in trials):
-        heads = [t.up_to(t.returns[count - 1]) if len(t.returns) >= count else t for t in trials]
+    while any(len(trial.reloads) >= count for trial in trials):
+        heads = [t.up_to(t.reloads[count - 1]) if len(t.reloads) >= count else t for t in trials]
         end = _ended(Problem(base, heads), values, force_noise, height_noise)
         values = dict(zip(values, base.values(end.state[: len(values)]).tolist(), strict=True))
         count *= 2
@@ -1810,7 +1827,7 @@ def _ended(
         # Where the force jumps depends on the onsets.
         problem.set_noise(force_noise, height_noise, problem.unsure(state))
         found = problem.search(state, tolerance=1e-4)
-        state = problem.search_on(found, tolerance=1e-4).theta
+        state = problem.search_on(found).theta
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
     residual, _ = problem.evaluate(state)
     squares = float(residual @ residual)

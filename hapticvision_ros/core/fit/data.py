@@ -220,7 +220,7 @@ _PARTS: Final = 4
 _QUICK: Final = 24.0
 """Straight parts of an interval of the force over which the tool changes its speed steadily; and
 intervals that this takes at most where it matters."""
-_RETURNS: Final = 0.05
+_RELOADED: Final = 0.05
 """Part of the depth by which a tool goes back, and down again, that comes again."""
 _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
@@ -821,12 +821,12 @@ class FitTrial:
         return float(self.path.displacement.max())
 
     @cached_property
-    def returns(self) -> tuple[int, ...]:
+    def reloads(self) -> tuple[int, ...]:
         """Return the steps in which the tool, gone back on its way, is about to come again."""
         later = self.path.t > self.t_contact
         # How far it is away from the object does not matter.
         ways = np.maximum(self.path.displacement[later], 0.0)
-        least = _RETURNS * self.depth
+        least = _RELOADED * self.depth
         turned, at, extreme, goes_down = list[float](), 0.0, 0.0, True
         for t, depth in zip(self.path.t[later].tolist(), ways.tolist(), strict=True):
             if depth == extreme or goes_down == (depth > extreme):

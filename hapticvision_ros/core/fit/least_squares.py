@@ -322,6 +322,11 @@ def left_over(residual: FloatArray, jacobian: FloatArray) -> float:
     residual, jacobian : ndarray, shapes (m,), (m, p)
         The residual and its derivatives.
 
+    Returns
+    -------
+    float
+        What one step to its best leaves.
+
     """
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     explained = left[:, singular > 1e-10 * singular[0]].T @ residual

@@ -23,11 +23,11 @@ from typing import Any
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis import refit as refitting
 from hapticvision_ros.core.diagnosis.refit import _is_beyond, Columns, Refit, Start, Workbench
-from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, strength
+from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, strength, try_all
 from hapticvision_ros.core.diagnosis.structure import GATE, look
 from hapticvision_ros.core.effects import EFFECTS
 from hapticvision_ros.core.fit.campaign import Blur, fit_prepared, in_order, line_spectrum, Problem
-from hapticvision_ros.core.fit.least_squares import covariance, NotFiniteError
+from hapticvision_ros.core.fit.least_squares import covariance, NotFiniteError, Solution
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force
@@ -201,6 +201,23 @@ def test_more_effects_explain_no_less_whatever_is_taken_for_a_jump(
     assert found.blur == base.blur
     again = found.problem.evaluate(found.state)[0]
     assert float(again @ again) == pytest.approx(found.cost)
+
+
+def test_of_many_refits_only_those_that_may_come_first_go_on_beside_where_they_end(
+    lacking: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, base = lacking
+    beside = list[tuple[str, ...]]()
+
+    def go_on(self: Problem, found: Solution) -> Solution:
+        beside.append(self.model.effects)
+        return found
+
+    monkeypatch.setattr(Problem, 'search_on', go_on)
+    try_all(bench, base, ['yield_force', 'force_drift'], closely=False)
+    assert beside == []
+    try_all(bench, base, ['yield_force', 'force_drift'])
+    assert set(beside) == {('yield_force',)}
 
 
 def test_each_parameter_costs_the_logarithm_of_the_samples(lacking: Bench) -> None:

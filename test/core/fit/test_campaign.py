@@ -45,6 +45,7 @@ from hapticvision_ros.core.segmentation import segment
 from hapticvision_ros.sim import campaigns, specimen, strengths
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 _SPEC = importlib.util.spec_from_file_location(
     'closed_form', Path(__file__).parents[3] / 'bench' / 'closed_form.py'
@@ -523,17 +524,16 @@ def test_a_tool_that_leaves_the_object_and_comes_again_tells_it(
     assert result.noise.force.std == pytest.approx(0.005, rel=0.1)
 
 
-def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tuple[Signal, ...]:
-    """Return force, tool height and displacement height of a tool led along a sine."""
+def _led(
+    body: specimen.Body, t: np.ndarray, depth: np.ndarray, noise: float, seed: int
+) -> tuple[Signal, ...]:
+    """Return force, tool height and displacement height of a tool led along a path."""
     random = np.random.default_rng(seed)
-    t = np.arange(0.0, 14.0, 1e-3)
-    swinging = (t >= 1.0) & (t <= 11.0)
-    sine = 1.0 - np.cos(2.0 * math.pi * frequency * (t - 1.0))
-    depth = np.where(swinging, reach * sine, 0.0) - 2e-3
     speed = np.gradient(depth, t)
     way = np.concatenate(([0.0], np.cumsum(0.5e-3 * (speed[1:] + speed[:-1])))) + depth[0]
     motion = specimen.Motion(t, way, speed, np.append(np.diff(speed) / 1e-3, 0.0))
-    step, count = 4e-3, 3475
+    step = 4e-3
+    count = int(t[-1] / step) - 25
     first = random.uniform(0.5, 1.5) * step
     history = specimen.integrate(
         first + step * (np.arange(10 * count + 1) / 10.0 - 0.5),
@@ -547,16 +547,24 @@ def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tu
     passed = np.concatenate(([0.0], np.cumsum(history.force * np.diff(history.t))))
     at = first + step * np.arange(count)
     ends = (np.interp(at + side * step, history.t, passed) for side in (0.5, -0.5))
-    force = (next(ends) - next(ends)) / step + 0.02 * random.standard_normal(count)
+    force = (next(ends) - next(ends)) / step + noise * random.standard_normal(count)
     tool_t = random.uniform(0.0, 0.016) + 0.016 * np.arange(count // 4)
     tool = 0.04 - motion.at(tool_t)[0] + 1e-6 * random.standard_normal(tool_t.size)
-    height_t = random.uniform(0.0, 0.05) + 0.05 * np.arange(277)
+    height_t = random.uniform(0.0, 0.05) + 0.05 * np.arange(int(0.08 * count) - 1)
     height = np.interp(height_t, history.t, history.surface)
     return (
         Signal(at, force),
         Signal(tool_t, 1e-6 * np.round(tool / 1e-6)),
         Signal(height_t, height + 1e-5 * random.standard_normal(height_t.size)),
     )
+
+
+def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tuple[Signal, ...]:
+    """Return the signals of a tool led along a sine."""
+    t = np.arange(0.0, 14.0, 1e-3)
+    swinging = (t >= 1.0) & (t <= 11.0)
+    sine = 1.0 - np.cos(2.0 * math.pi * frequency * (t - 1.0))
+    return _led(body, t, np.where(swinging, reach * sine, 0.0) - 2e-3, 0.02, seed)
 
 
 @pytest.mark.parametrize(
@@ -580,9 +588,8 @@ def test_a_tool_that_comes_and_goes_along_a_sine_tells_the_object(
     # Sines tell nothing of how an arm stops, and take long to be asked for it.
     prepared, _ = prepare(pairs, servo=None)
     result = fit_prepared(prepared, Model())
-    assert np.exp(result.theta[:3]) == pytest.approx([body.K1, body.C1, body.C2], rel=0.02)
-    # All of the force but its noise.
-    assert result.noise.force.std < 0.022
+    assert np.exp(result.theta[:3]) == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
+    assert result.noise.force.std == pytest.approx(0.02, rel=0.15)
 
 
 def _to_and_fro(body: specimen.Body, share: float, swings: int) -> list[FitTrial]:
@@ -605,8 +612,8 @@ def _to_and_fro(body: specimen.Body, share: float, swings: int) -> list[FitTrial
 @pytest.mark.parametrize(
     ('body', 'share', 'swings'),
     [
-        (specimen.Body(4160.0, 25_230.0, 30_260.0), 0.5, 2),
-        (specimen.Body(1170.0, 11_040.0, 7390.0), 0.5, 2),
+        (specimen.Body(1690.0, 14_500.0, 10_300.0), 0.65, 3),
+        (specimen.Body(1690.0, 14_500.0, 10_300.0), 0.95, 1),
         (specimen.Body(378.0, 1192.0, 1822.0), 1.0, 4),
     ],
 )
@@ -632,30 +639,56 @@ def test_a_search_that_ends_before_a_jump_has_passed_all_samples_goes_on(
     begin[:3] += beside
     stuck = problem.search(begin, tolerance=1e-7)
     assert stuck.cost > least + 100.0
-    again = problem.search_on(stuck, tolerance=1e-7)
+    again = problem.search_on(stuck)
     assert again.cost == pytest.approx(least, abs=1.0)
-    assert np.array_equal(problem.evaluate(again.theta)[0], again.residual)
+
+
+def test_an_object_that_comes_after_a_tool_at_rest_is_told_beside_slow_noise() -> None:
+    """A tool that goes back slowly loses the object, which meets it again where it rests."""
+    body = specimen.Body(157.0, 940.0, 940.0)
+    pairs = []
+    for number, speed in enumerate((1e-3, 2e-3, 4e-3)):
+        down = 1.0 + 8e-3 / speed
+        knots = np.cumsum([down, 4.0, 10.0, 3.0, 1.2, 4.0])
+        ways = [-2e-3, -2e-3, 6e-3, 6e-3, 5.2e-3, 5.2e-3, -2e-3, -2e-3]
+        t = np.arange(0.0, knots[-1], 1e-3)
+        depth = np.interp(t, [0.0, 1.0, *knots], ways)
+        force, *others = _led(body, t, depth, 0.0, 10 + number)
+        random = np.random.default_rng(10 + number)
+        noise = np.zeros(force.t.size)
+        for memory in np.geomspace(0.006, 8.0, 8):
+            kept = math.exp(-0.004 / memory)
+            new = random.standard_normal(force.t.size + 4000) * math.sqrt(1.0 - kept**2)
+            noise += 0.0056 * lfilter([1.0], [1.0, -kept], new)[4000:]
+        signals = (Signal(force.t, force.value + noise), *others)
+        pairs.append((Trial(f's{number}', number * 10**11, *signals), segment(*signals)))
+    prepared, _ = prepare(pairs)
+    result = fit_prepared(prepared, Model())
+    off = result.theta[:3] - np.log([body.K1, body.C1, body.C2])
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(result.covariance)[:3]))
+    assert np.abs(off).max() < 0.02
 
 
 def test_where_a_tool_comes_again_is_known_with_what_was_seen_up_to_there() -> None:
     for trial in _to_and_fro(specimen.Body(378.0, 1192.0, 1822.0), 1.0, 4):
-        assert len(trial.returns) == 4
-        for step in trial.returns:
+        assert len(trial.reloads) == 4
+        for step in trial.reloads:
             # It is back up, but for what it goes by in a step, and goes down next.
             assert abs(trial.displacement[step]) < 0.02 * trial.depth
             assert trial.displacement[step + 10] > trial.displacement[step]
-        part = trial.up_to(trial.returns[1])
-        until = trial.t[trial.returns[1]]
+        part = trial.up_to(trial.reloads[1])
+        until = trial.t[trial.reloads[1]]
         assert np.array_equal(part.t[:-1], trial.t[trial.t <= until])
         assert np.array_equal(part.height_t, trial.height_t[trial.height_t <= until])
         assert part.height.size == part.height_count.size == part.height_t.size > 0
 
 
-def test_what_touches_once_is_not_searched_on() -> None:
+def test_what_touches_once_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -> None:
     result = fit(campaign(1, 2))
-    assert [trial.returns for trial in result.problem.trials] == [(), ()]
+    assert [trial.reloads for trial in result.problem.trials] == [(), ()]
+    monkeypatch.delattr(Problem, '_beside')
     found = result.problem.search(result.state, tolerance=1e-7)
-    assert result.problem.search_on(found, tolerance=1e-7) is found
+    assert result.problem.search_on(found) is found
 
 
 @pytest.mark.parametrize('lost', [True, False])
