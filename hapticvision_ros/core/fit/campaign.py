@@ -568,7 +568,8 @@ class Problem:
 
     def _beside(self, found: Solution) -> list[tuple[FloatArray, Evaluated]]:
         """Return the most promising states along the axes of the shared parameters' error."""
-        covariance = found.covariance()[: self.p, : self.p]
+        p = self.p
+        covariance = found.covariance()[:p, :p]
         errors = np.sqrt(np.diag(covariance))
         # One that is on a bound, or that nothing depends on, stays where it is.
         free = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
@@ -583,7 +584,7 @@ class Problem:
             state = np.clip(state, *self.bounds)
             residual, jacobian = self.evaluate(state)
             if np.isfinite(residual).all() and np.isfinite(jacobian).all():
-                left = left_over(residual, jacobian[:, self.p :])
+                left = left_over(residual, jacobian[:, p:])
                 promising.append((left, state, (residual, jacobian)))
         promising.sort(key=lambda each: each[0])
         return [each[1:] for each in promising[:_MOST_PROMISING]]
