@@ -278,7 +278,9 @@ def test_a_running_cell_tells_its_body_and_its_shape_by_messages_alone(domain, t
     # by a quarter there. A slight push meets its 2000, 1600 and 2400; 15 % of the height is none,
     # and springs keep the volume.
     for name, value in (('K1', 1501.0), ('C1', 1315.0), ('C2', 3051.0)):
-        assert told[name]['value'] == pytest.approx(value, rel=0.1)
+        # A record of a busy machine leaves more open, and says so.
+        unsure = 0.1 * value + 2.0 * told[name]['std']
+        assert told[name]['value'] == pytest.approx(value, abs=unsure)
     shape = ['shape', str(result), str(bag), '--tool-radius', '8mm', '--size', '60x40x20mm']
     shape += ['--cell', '4mm', '--volume-ratio', '1', '--out', str(tmp_path / 'shape')]
     assert main(shape) == 0

@@ -880,7 +880,7 @@ class FitTrial:
         )
 
     def up_to(self, steps: int) -> 'FitTrial':
-        """Return the same with the displacement heights up to there."""
+        """Return the head of a trial, with the displacement heights up to there."""
         seen = slice(int(np.searchsorted(self.height_t, self.t[steps])))
         return replace(
             self.head(steps),
