@@ -186,8 +186,9 @@ _TO_AND_FRO: Final = 0.4
 _MOST_WAYS: Final = 16
 """Times there and back that count for these."""
 _WAY: Final = 0.05
+"""Part of a tool's whole way, or of its depth, from which on it goes there and back."""
 _FEW_LOOKS: Final = 2048
-"""Part of a tool's whole way from which on it goes there and back, as so many samples tell."""
+"""Samples of a way that tell how often it does so."""
 _CORNER_SAMPLES: Final = 64
 """Corners that are so many samples of the encoders apart may be one change of speed."""
 _APART: Final = 16
@@ -220,8 +221,6 @@ _PARTS: Final = 4
 _QUICK: Final = 24.0
 """Straight parts of an interval of the force over which the tool changes its speed steadily; and
 intervals that this takes at most where it matters."""
-_RELOADED: Final = 0.05
-"""Part of the depth by which a tool goes back, and down again, that comes again."""
 _EXACT: Final = (1e-6, 1e-5, 1e-4)
 """Parts of the depth to which encoders whose own noise is less are to be followed, in turn."""
 _FEWEST_ON_LINE: Final = 3
@@ -826,15 +825,8 @@ class FitTrial:
         later = self.path.t > self.t_contact
         # How far it is away from the object does not matter.
         ways = np.maximum(self.path.displacement[later], 0.0)
-        least = _RELOADED * self.depth
-        turned, at, extreme, goes_down = list[float](), 0.0, 0.0, True
-        for t, depth in zip(self.path.t[later].tolist(), ways.tolist(), strict=True):
-            if depth == extreme or goes_down == (depth > extreme):
-                at, extreme = t, depth
-            elif abs(depth - extreme) > least:
-                if not goes_down:
-                    turned.append(at)
-                at, extreme, goes_down = t, depth, not goes_down
+        # Down first, and then up: every second turn leads down again.
+        turned = self.path.t[later][_turning_points(ways, _WAY * self.depth)[1::2]]
         return tuple((np.searchsorted(self.t, turned, side='right') - 1).tolist())
 
     @cached_property
@@ -2239,15 +2231,20 @@ def _goes_by_ramps(knots: FloatArray, levels: FloatArray) -> bool:
 def _ways(value: FloatArray) -> int:
     """Return how many times a tool goes there and back, by a part of its way that is not small."""
     few = value[:: max(1, value.size // _FEW_LOOKS)]
-    least = _WAY * float(np.ptp(few))
-    turns, low, high, up = 0, few[0], few[0], True
-    for each in few.tolist():
-        low, high = min(low, each), max(high, each)
-        if up and each < high - least:
-            turns, low, up = turns + 1, each, False
-        elif not up and each > low + least:
-            turns, high, up = turns + 1, each, True
+    turns = len(_turning_points(few, _WAY * float(np.ptp(few))))
     return min(max((turns + 1) // 2, 1), _MOST_WAYS)
+
+
+def _turning_points(value: FloatArray, least: float) -> list[int]:
+    """Return where what rises at first turns round by more than is given, each the last such."""
+    turned, at, extreme, rises = list[int](), 0, -math.inf, True
+    for place, each in enumerate(value.tolist()):
+        if each == extreme or rises == (each > extreme):
+            at, extreme = place, each
+        elif abs(each - extreme) > least:
+            turned.append(at)
+            at, extreme, rises = place, each, not rises
+    return turned
 
 
 def _timed(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:

@@ -571,10 +571,9 @@ def _swung(body: specimen.Body, frequency: float, reach: float, seed: int) -> tu
     ('body', 'ways'),
     [
         (specimen.Body(1000.0, 1500.0, 3000.0), ((0.5, 3e-3), (1.0, 2e-3), (0.5, 2e-3))),
-        (specimen.Body(470.0, 1080.0, 960.0), ((0.2, 3e-3), (1.0, 2e-3))),
-        (specimen.Body(420.0, 2430.0, 2250.0), ((0.5, 1e-3), (0.2, 2e-3))),
+        (specimen.Body(1385.0, 7717.0, 7716.0), ((0.2, 2e-3),)),
     ],
-    ids=['quick', 'slower', 'slowest'],
+    ids=['quick', 'slow'],
 )
 def test_a_tool_that_comes_and_goes_along_a_sine_tells_the_object(
     body: specimen.Body, ways: Sequence[tuple[float, float]]
@@ -589,7 +588,7 @@ def test_a_tool_that_comes_and_goes_along_a_sine_tells_the_object(
     prepared, _ = prepare(pairs, servo=None)
     result = fit_prepared(prepared, Model())
     assert np.exp(result.theta[:3]) == pytest.approx([body.K1, body.C1, body.C2], rel=0.01)
-    assert result.noise.force.std == pytest.approx(0.02, rel=0.15)
+    assert result.noise.force.std == pytest.approx(0.02, rel=0.1)
 
 
 def _to_and_fro(body: specimen.Body, share: float, swings: int) -> list[FitTrial]:
