@@ -21,13 +21,25 @@ from typing import Literal
 from hapticvision_ros.core.fit.uncertainty import least_squares_covariance
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import FloatArray
-from hapticvision_ros.core.segmentation.fits import fit_from_start, fit_onset, fit_stop, level
+from hapticvision_ros.core.segmentation.fits import (
+    fit_from_start,
+    fit_onset,
+    fit_stop,
+    level,
+    Onset,
+)
 import numpy as np
 
 _BLOCKS = 20
 _FEWEST = 8
 _GLITCH = 9.0
 """Median deviations beyond which a sample without contact is a glitch: 6 sigma."""
+_LEAST_RISE = 6
+"""Samples of the shortest rise that a curve is fitted to."""
+_EARLY, _MISSED = 0.1, 2.0
+"""An onset is early by this share of the rise; a curve is off by so many times the noise."""
+_RISEN = 4.0
+"""Standard errors by which the force has risen since the tool has started."""
 _AT_THE_RISE = 2
 """Samples before a rise that may have a part of it."""
 _AIR_BLOCKS, _MOST_BLOCKS = 16, 100
@@ -201,20 +213,26 @@ def locate_touch(
     rises at the touch, and by far more as the push begins. The touch is the first of them.
 
     """
-    rise = max(high - low, 6)
-    stop = min(max(high, low + 2 * rise) + 1, t.size)
-    first = low - max(4 * rise, 40)
-    first = 0 if first < 40 else first
-    tw, fw = t[first:stop], force[first:stop]
-    travel = np.interp(tw, tx, smooth(x, travel_noise))
-    earliest, latest = float(tw[0]), float(t[min(stop - 1, low + rise)])
-    onset = fit_onset(tw, fw, travel, earliest, latest)
+    rise = max(high - low, _LEAST_RISE)
+    smoothed = smooth(x, travel_noise)
+    while True:
+        stop = min(low + 2 * rise + 1, t.size)
+        first = low - max(4 * rise, 40)
+        first = 0 if first < 40 else first
+        tw, fw = t[first:stop], force[first:stop]
+        travel = np.interp(tw, tx, smoothed)
+        earliest, latest = float(tw[0]), float(t[min(stop - 1, low + rise)])
+        onset = fit_onset(tw, fw, travel, earliest, latest)
+        if rise == _LEAST_RISE or not _misses(onset, tw, fw, low - first, latest):
+            break
+        # A slow push, or one that stops on its way, is no curve of the travel for so long.
+        rise = max(rise // 2, _LEAST_RISE)
     t_push = -math.inf
     led = _led(t, force, tx, x, travel_noise, onset.t)
     if led is not None:
         t_push, (first, touch, stop) = onset.t, led
         tw, fw = t[first:stop], force[first:stop]
-        travel = np.interp(tw, tx, smooth(x, travel_noise))
+        travel = np.interp(tw, tx, smoothed)
         near = (stop - touch) // 2
         earliest, latest = float(t[max(touch - near, first)]), float(t[touch + near // 2])
         onset = fit_onset(tw, fw, travel, earliest, latest)
@@ -244,16 +262,34 @@ def locate_touch(
         travelled = float(np.interp(onset.t, tx, x)) - level(x[: moved - 1])
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
-            still = force[t < started]
+            begun, end = np.searchsorted(t, (started, onset.t)).tolist()
+            still, later = force[:begun], force[begun : end - _AT_THE_RISE]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
             _, error = quiet_level(still)
-            return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
+            if not _stays(still, later):
+                return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
     error = _travel_std(tw, fw, travel, onset.t, onset.baseline, scatter)
     travel_std = math.hypot(error, travel_noise)
     return Touch(onset.t, zero, drift, 'approach', zero_std, travel_std, t_push)
+
+
+def _misses(onset: Onset, t: FloatArray, force: FloatArray, low: int, latest: float) -> bool:
+    """Return whether an onset is early, of a curve that goes by samples which are known to."""
+    if low < _FEWEST or float(t[low]) - onset.t <= _EARLY * (latest - float(t[low])):
+        return False
+    return math.sqrt(onset.rest / t.size) > _MISSED * float(np.std(force[:low]))
+
+
+def _stays(still: FloatArray, later: FloatArray) -> bool:
+    """Return whether the force of a tool that has started stays where it was at rest."""
+    if min(still.size, later.size) < _BLOCKS:
+        return False
+    # An arm that starts softly has hardly moved in the first half.
+    (rest, error), (level_, error_) = quiet_level(still), quiet_level(later[later.size // 2 :])
+    return abs(level_ - rest) < _RISEN * math.hypot(error, error_)
 
 
 def _led(
