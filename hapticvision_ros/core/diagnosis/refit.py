@@ -272,9 +272,7 @@ class Workbench:
         problem.set_noise(found.force_noise, found.height_noise, problem.unsure(state, found.blur))
         return self._settled(problem, state, found.force_noise, found.height_noise, found.blur)
 
-    def refit(
-        self, model: Model, near: Refit, looked: Look | None = None, *, beside: bool = True
-    ) -> Refit | None:
+    def refit(self, model: Model, near: Refit, looked: Look | None = None) -> Refit | None:
         """
         Fit a model, starting from a part of it or from one with more effects.
 
@@ -286,8 +284,6 @@ class Workbench:
             Where to start.
         looked : Look, optional
             What `look` has found for the same two.
-        beside : bool
-            Whether searches go on beside where they end, as in `Problem.search_on`.
 
         Returns
         -------
@@ -323,15 +319,13 @@ class Workbench:
         noise = near.force_noise, near.height_noise, near.blur
         known = begin.residual, begin.jacobian
         try:
-            found = self._settled(problem, begin.theta, *noise, known=known, beside=beside)
+            found = self._settled(problem, begin.theta, *noise, known=known)
             more = set(near.model.effects) < set(model.effects)
             if more and found.deviance > near.deviance + _ENOUGH:
                 # More effects explain no less: a blur and a noise that are the most likely ones
                 # beside each other need not be so of all.
                 problem.set_noise(near.force_noise, near.height_noise, near.jumps)
-                blurred = self._settled(
-                    problem, begin.theta, *noise, known=known, blurred=True, beside=beside
-                )
+                blurred = self._settled(problem, begin.theta, *noise, known=known, blurred=True)
                 found = min(found, blurred, key=lambda each: each.deviance)
                 # What is asked of the problem goes with the noise that was kept.
                 problem.set_noise(found.force_noise, found.height_noise, found.jumps)
@@ -662,14 +656,12 @@ class Workbench:
         known: Evaluated | None = None,
         *,
         blurred: bool = False,
-        beside: bool = True,
     ) -> Refit:
         """
         Return the best parameters and the noise that goes with them.
 
         What is `known` is what the problem was evaluated to at the state beside its noise. Moments
-        of jumps are no better known than before where that is `blurred`. A search goes on
-        `beside` where it ends.
+        of jumps are no better known than before where that is `blurred`.
         """
         best, at_best, begin = None, None, state
         for turn in range(_ROUNDS):
@@ -693,7 +685,7 @@ class Workbench:
                     raise
                 known = at_best
                 break
-            if beside and not turn:
+            if not turn:
                 end = problem.search_on(end)
             state = end.theta
             left = [self.residual(problem, state, index) for index in range(len(self.trials))]

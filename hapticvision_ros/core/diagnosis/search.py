@@ -845,7 +845,7 @@ class _Search:
         sizes = [each for each in _SCATTERS if each > known]
 
         def scattering(each: float) -> Refit | None:
-            return bench.scattering(np.full(3, each)).refit(near.model, near, beside=False)
+            return bench.scattering(np.full(3, each)).refit(near.model, near)
 
         refits = parallel.each(scattering, sizes, self.workers, bench.trials)
         for each, refit in zip(sizes, refits, strict=True):

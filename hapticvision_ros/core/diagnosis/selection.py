@@ -393,7 +393,7 @@ def try_all(
 
     def one(name: str) -> Trialled:
         model = Model((*without.model.effects, name))
-        refit = bench.refit(model, without, looks[name], beside=False)
+        refit = bench.refit(model, without, looks[name])
         if refit is None:
             return Trialled(name, 0.0, -price(bench, name), 0.0, None)
         return _trialled(bench, without, name, refit)

@@ -32,7 +32,6 @@ from collections.abc import Callable, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 import math
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
@@ -44,7 +43,6 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
 from hapticvision_ros.core.fit.least_squares import (
     Evaluated,
-    left_over,
     minimise,
     NotFiniteError,
     Solution,
@@ -161,14 +159,6 @@ _LOUD: Final = 1.5
 """Residual over the noise before contact from which on a reader is told."""
 _MISSED: Final = 2.0
 """Misfit over the noise from which on the body that most trials tell, each alone, is tried."""
-_MOST_HOPS: Final = 8
-"""So often at most other searches begin beside the best one."""
-_ACROSS: Final = (1.0, 3.0, 10.0, 30.0)
-"""How far beside it they begin, in standard errors."""
-_MOST_PROMISING: Final = 3
-"""How many others."""
-_DEEPER: Final = 1.0
-"""By how much the squares drop at least in a valley that is worth to look beside again."""
 _NAMED: Final = 3
 """Samples set aside whose times are told."""
 _NEIGHBOURS: Final = 64
@@ -457,6 +447,7 @@ class Problem:
             stop += len(names)
         self.size = stop
         self._weights: tuple[_Weights, ...] = ()
+        self._noise: tuple[SensorNoise, SensorNoise]
         self._said: list[tuple[bytes, Prediction] | None] = [None] * len(self.trials)
         self.log_determinant = 0.0
         lower, upper = np.full(stop, -np.inf), np.full(stop, np.inf)
@@ -518,11 +509,13 @@ class Problem:
 
     def search_on(self, found: Solution) -> Solution:
         """
-        Search from places beside the end of a search as well, where the object is touched again.
+        Search beside noise without a memory as well, where the object is touched again.
 
         An object that comes after a tool which has left it makes a force that jumps when it gets
-        there. When that is hangs on the parameters, and each sample that the jump passes as they
-        change makes a valley of the noise in it: a search ends in the first.
+        there, and when that is hangs on the parameters. One that is off misses some samples by
+        much, and a search goes there. Noise with a memory is known by the differences of
+        neighbours, of which such a jump misses the same few wherever it is: a search only sees it
+        next to the right place.
 
         Parameters
         ----------
@@ -532,30 +525,25 @@ class Problem:
         Returns
         -------
         Solution
-            The deepest that was found, to a small part of one; `found` itself where the tool
-            touches the object once.
+            The deeper end, to a small part of one; `found` itself where the tool touches the
+            object once.
 
         """
         if not self._touches_again(found.theta):
             return found
-        found = self._ended(found)
-        for _ in range(_MOST_HOPS):
-            ends = [
-                self.search(state, tolerance=1e-4, max_evaluations=_STEPS, known=known)
-                for state, known in self._beside(found)
-            ]
-            if not ends:
-                break
-            best = self._ended(min(ends, key=lambda end: end.cost))
-            if best.cost > found.cost - _DEEPER:
-                break
-            found = best
-        return found
-
-    def _ended(self, found: Solution) -> Solution:
-        """Return where a search ends that goes on from there to the bottom."""
+        weights, log_determinant = self._weights, self.log_determinant
+        force, height = self._noise
+        self.set_noise(_white(force), _white(height))
+        try:
+            led = self.search(found.theta, tolerance=1e-4, max_evaluations=_STEPS)
+        finally:
+            self._weights, self.log_determinant = weights, log_determinant
         known = found.residual, found.jacobian
-        return self.search(found.theta, tolerance=_TOLERANCE, known=known)
+        ends = (
+            self.search(found.theta, tolerance=_TOLERANCE, known=known),
+            self.search(led.theta, tolerance=_TOLERANCE),
+        )
+        return min(ends, key=lambda end: end.cost)
 
     def _touches_again(self, state: FloatArray) -> bool:
         """Return whether the tool loses the object in a trial and touches it again."""
@@ -565,29 +553,6 @@ class Problem:
             if np.count_nonzero(np.diff(touched.astype(np.int8), prepend=0) > 0) > 1:
                 return True
         return False
-
-    def _beside(self, found: Solution) -> list[tuple[FloatArray, Evaluated]]:
-        """Return the most promising states along the axes of the shared parameters' error."""
-        p = self.p
-        covariance = found.covariance()[:p, :p]
-        errors = np.sqrt(np.diag(covariance))
-        # One that is on a bound, or that nothing depends on, stays where it is.
-        free = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
-        errors, reach = errors[free], self.reach[free]
-        correlation = covariance[np.ix_(free, free)] / np.outer(errors, errors)
-        variances, axes = np.linalg.eigh(correlation)
-        moves = errors * (axes * np.sqrt(np.maximum(variances, 0.0))).T
-        promising = list[tuple[float, FloatArray, Evaluated]]()
-        for move, far, sign in product(moves, _ACROSS, (1.0, -1.0)):
-            state = found.theta.copy()
-            state[free] += np.clip(sign * far * move, -reach, reach)
-            state = np.clip(state, *self.bounds)
-            residual, jacobian = self.evaluate(state)
-            if np.isfinite(residual).all() and np.isfinite(jacobian).all():
-                left = left_over(residual, jacobian[:, p:])
-                promising.append((left, state, (residual, jacobian)))
-        promising.sort(key=lambda each: each[0])
-        return [each[1:] for each in promising[:_MOST_PROMISING]]
 
     def set_noise(
         self, force: SensorNoise, height: SensorNoise, jumps: Sequence[FloatArray] | None = None
@@ -605,6 +570,7 @@ class Problem:
 
         """
         weights = []
+        self._noise = force, height
         self.log_determinant = 0.0
         for i, trial in enumerate(self.trials):
             blocks = force_blocks(trial, None if jumps is None else jumps[i])
@@ -1701,6 +1667,11 @@ def _even(std: float, interval: float) -> SensorNoise:
     return SensorNoise(math.sqrt(0.5) * std, math.sqrt(0.5) * std, 20.0 * interval)
 
 
+def _white(noise: SensorNoise) -> SensorNoise:
+    """Return noise of the same size that forgets at once."""
+    return replace(noise, white=noise.std, slow=0.0, wander=0.0)
+
+
 def _guess(air: FloatArray, whole: FloatArray) -> float:
     """Return the scatter without contact, or what neighbouring samples show."""
     if air.size >= 32:
@@ -1721,6 +1692,8 @@ def _search(
     height_noise: SensorNoise,
 ) -> tuple[Problem, list[FloatArray], dict[str, float]]:
     """Return the problem with white noise, states from several starts, and the base's body."""
+    # Beside noise with a memory a search may end on its way: see `Problem.search_on`.
+    force_noise, height_noise = _white(force_noise), _white(height_noise)
     base = Model()
     body = _of_body(identify(trials, force_noise.std))
     values = dict(zip(('K1', 'C1', 'C2'), body, strict=True))
@@ -1733,11 +1706,6 @@ def _search(
     if any(name in values for name in given):
         starts.append({name: given.get(name, value) for name, value in values.items()})
     ends = [_ended(problem, each, force_noise, height_noise) for each in starts]
-    parts = _part_by_part(trials, values, force_noise, height_noise)
-    if parts is not values:
-        # In its place, if it ends deeper: what comes of each start takes long to be made out.
-        other = _ended(problem, parts, force_noise, height_noise)
-        ends[0] = min(ends[0], other, key=lambda end: end.deviance)
     samples = sum(float(t.force_count.sum() + t.height_count.sum()) for t in trials)
     if len(trials) > 1 and min(end.squares for end in ends) > _MISSED**2 * samples:
         # Where contacts are told wrongly all trials together mislead; most by themselves may not.
@@ -1783,27 +1751,6 @@ def _search(
     moved = whole.search(again, tolerance=1e-4, max_evaluations=_STEPS)
     state = min((best, moved), key=lambda found: found.cost).theta
     return whole, [state], shown
-
-
-def _part_by_part(
-    trials: Sequence[FitTrial],
-    values: Mapping[str, float],
-    force_noise: SensorNoise,
-    height_noise: SensorNoise,
-) -> Mapping[str, float]:
-    """
-    Return the body that trials show up to where the tool comes again, and again.
-
-    Where the object is then hangs on all that went before, so that what comes later leads a search
-    astray whose body is not near.
-    """
-    base, count = Model(), 1
-    while any(len(trial.reloads) >= count for trial in trials):
-        heads = [t.up_to(t.reloads[count - 1]) if len(t.reloads) >= count else t for t in trials]
-        end = _ended(Problem(base, heads), values, force_noise, height_noise)
-        values = dict(zip(values, base.values(end.state[: len(values)]).tolist(), strict=True))
-        count *= 2
-    return values
 
 
 class _Valley(NamedTuple):

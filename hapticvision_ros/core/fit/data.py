@@ -186,7 +186,7 @@ _TO_AND_FRO: Final = 0.4
 _MOST_WAYS: Final = 16
 """Times there and back that count for these."""
 _WAY: Final = 0.05
-"""Part of a tool's whole way, or of its depth, from which on it goes there and back."""
+"""Part of a tool's whole way from which on it goes there and back."""
 _FEW_LOOKS: Final = 2048
 """Samples of a way that tell how often it does so."""
 _CORNER_SAMPLES: Final = 64
@@ -820,16 +820,6 @@ class FitTrial:
         return float(self.path.displacement.max())
 
     @cached_property
-    def reloads(self) -> tuple[int, ...]:
-        """Return the steps in which the tool, gone back on its way, is about to come again."""
-        later = self.path.t > self.t_contact
-        # How far it is away from the object does not matter.
-        ways = np.maximum(self.path.displacement[later], 0.0)
-        # Down first, and then up: every second turn leads down again.
-        turned = self.path.t[later][_turning_points(ways, _WAY * self.depth)[1::2]]
-        return tuple((np.searchsorted(self.t, turned, side='right') - 1).tolist())
-
-    @cached_property
     def near_touch(self) -> slice:
         """Return the steps of the push in which the touch may be: none where `stop` is zero."""
         near = np.flatnonzero(np.abs(self.displacement) <= self.touch_reach)
@@ -869,16 +859,6 @@ class FitTrial:
             height_t=np.empty(0),
             height=np.empty(0),
             height_count=np.empty(0),
-        )
-
-    def up_to(self, steps: int) -> 'FitTrial':
-        """Return the head of a trial, with the displacement heights up to there."""
-        seen = slice(int(np.searchsorted(self.height_t, self.t[steps])))
-        return replace(
-            self.head(steps),
-            height_t=self.height_t[seen],
-            height=self.height[seen],
-            height_count=self.height_count[seen],
         )
 
     def without(self, bad: NDArray[np.bool_]) -> 'FitTrial':
@@ -2231,20 +2211,15 @@ def _goes_by_ramps(knots: FloatArray, levels: FloatArray) -> bool:
 def _ways(value: FloatArray) -> int:
     """Return how many times a tool goes there and back, by a part of its way that is not small."""
     few = value[:: max(1, value.size // _FEW_LOOKS)]
-    turns = len(_turning_points(few, _WAY * float(np.ptp(few))))
+    least = _WAY * float(np.ptp(few))
+    turns, low, high, up = 0, few[0], few[0], True
+    for each in few.tolist():
+        low, high = min(low, each), max(high, each)
+        if up and each < high - least:
+            turns, low, up = turns + 1, each, False
+        elif not up and each > low + least:
+            turns, high, up = turns + 1, each, True
     return min(max((turns + 1) // 2, 1), _MOST_WAYS)
-
-
-def _turning_points(value: FloatArray, least: float) -> list[int]:
-    """Return where what rises at first turns round by more than is given, each the last such."""
-    turned, at, extreme, rises = list[int](), 0, -math.inf, True
-    for place, each in enumerate(value.tolist()):
-        if each == extreme or rises == (each > extreme):
-            at, extreme = place, each
-        elif abs(each - extreme) > least:
-            turned.append(at)
-            at, extreme, rises = place, each, not rises
-    return turned
 
 
 def _timed(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:

@@ -263,7 +263,7 @@ def locate_touch(
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             begun, end = np.searchsorted(t, (started, onset.t)).tolist()
-            still, later = force[:begun], force[begun : end - _AT_THE_RISE]
+            still, later = force[:begun], force[begun:end][:-_AT_THE_RISE]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
             _, error = quiet_level(still)
@@ -277,7 +277,7 @@ def locate_touch(
 
 
 def _misses(onset: Onset, t: FloatArray, force: FloatArray, low: int, latest: float) -> bool:
-    """Return whether an onset is early, of a curve that goes by samples which are known to."""
+    """Return whether an onset lies where nothing is felt yet, and its curve misses the rise."""
     if low < _FEWEST or float(t[low]) - onset.t <= _EARLY * (latest - float(t[low])):
         return False
     return math.sqrt(onset.rest / t.size) > _MISSED * float(np.std(force[:low]))
@@ -288,8 +288,9 @@ def _stays(still: FloatArray, later: FloatArray) -> bool:
     if min(still.size, later.size) < _BLOCKS:
         return False
     # An arm that starts softly has hardly moved in the first half.
-    (rest, error), (level_, error_) = quiet_level(still), quiet_level(later[later.size // 2 :])
-    return abs(level_ - rest) < _RISEN * math.hypot(error, error_)
+    half = later.size // 2
+    (rest, error), (moving, moving_error) = quiet_level(still), quiet_level(later[half:])
+    return abs(moving - rest) < _RISEN * math.hypot(error, moving_error)
 
 
 def _led(
