@@ -43,6 +43,7 @@ from hapticvision_ros.core.errors import UsageError
 from hapticvision_ros.core.fit.data import FitTrial, prepare, QUIETEST
 from hapticvision_ros.core.fit.least_squares import (
     Evaluated,
+    left_over,
     minimise,
     NotFiniteError,
     Solution,
@@ -525,8 +526,7 @@ class Problem:
         Returns
         -------
         Solution
-            The deeper end, to a small part of one; `found` itself where the tool touches the
-            object once.
+            The deeper end; `found` itself where the tool touches the object once.
 
         """
         if not self._touches_again(found.theta):
@@ -535,15 +535,14 @@ class Problem:
         force, height = self._noise
         self.set_noise(_white(force), _white(height))
         try:
-            led = self.search(found.theta, tolerance=1e-4, max_evaluations=_STEPS)
+            led = self.search(found.theta, tolerance=1e-4, max_evaluations=_STEPS).theta
         finally:
             self._weights, self.log_determinant = weights, log_determinant
-        known = found.residual, found.jacobian
-        ends = (
-            self.search(found.theta, tolerance=_TOLERANCE, known=known),
-            self.search(led.theta, tolerance=_TOLERANCE),
-        )
-        return min(ends, key=lambda end: end.cost)
+        known = self.evaluate(led)
+        if not left_over(*known) < found.cost - _SAME:
+            return found
+        other = self.search(led, tolerance=1e-4, max_evaluations=_STEPS, known=known)
+        return min(found, other, key=lambda end: end.cost)
 
     def _touches_again(self, state: FloatArray) -> bool:
         """Return whether the tool loses the object in a trial and touches it again."""

@@ -126,7 +126,10 @@ def test_the_force_tells_where_the_tool_is_held(coarse: list[FitTrial]) -> None:
     assert away[2:] == pytest.approx(0.0, abs=0.8e-6)
     for name in ('K1', 'C1', 'C2'):
         value, before = found.parameters[name].value, known.parameters[name].value
-        assert value == pytest.approx(before, rel=2e-4)
+        std = found.parameters[name].std
+        assert std is not None
+        assert std < 5e-4 * before
+        assert value == pytest.approx(before, abs=std)
 
 
 def test_the_slope_of_what_a_rest_does_is_that_of_the_prediction(coarse: list[FitTrial]) -> None:
