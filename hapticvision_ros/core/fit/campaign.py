@@ -510,13 +510,13 @@ class Problem:
 
     def search_on(self, found: Solution) -> Solution:
         """
-        Search beside noise without a memory as well, where the object is touched again.
+        Search beside white noise as well, and on from there, where the object is touched again.
 
         An object that comes after a tool which has left it makes a force that jumps when it gets
-        there, and when that is hangs on the parameters. One that is off misses some samples by
-        much, and a search goes there. Noise with a memory is known by the differences of
-        neighbours, of which such a jump misses the same few wherever it is: a search only sees it
-        next to the right place.
+        there, and when that is hangs on the parameters. A jump that is misplaced misses some
+        samples by much, and beside white noise a search goes to where it misses fewer. Beside
+        noise with a memory it is differences of neighbouring samples that count: such a jump
+        spoils a few of them, as many near its place as far from it.
 
         Parameters
         ----------
@@ -526,22 +526,24 @@ class Problem:
         Returns
         -------
         Solution
-            The deeper end; `found` itself where the tool touches the object once.
+            The deeper end; `found` itself where the tool touches the object once, or nothing
+            deeper is promised.
 
         """
         if not self._touches_again(found.theta):
             return found
-        weights, log_determinant = self._weights, self.log_determinant
-        force, height = self._noise
-        self.set_noise(_white(force), _white(height))
+        kept = self._noise, self._weights, self.log_determinant
         try:
+            # What is not known of the moments of jumps would hide that they are misplaced.
+            force, height = self._noise
+            self.set_noise(_white(force), _white(height))
             led = self.search(found.theta, tolerance=1e-4, max_evaluations=_STEPS).theta
         finally:
-            self._weights, self.log_determinant = weights, log_determinant
+            self._noise, self._weights, self.log_determinant = kept
         known = self.evaluate(led)
-        if not left_over(*known) < found.cost - _SAME:
+        if left_over(*known) >= found.cost - _SAME:
             return found
-        other = self.search(led, tolerance=1e-4, max_evaluations=_STEPS, known=known)
+        other = self.search(led, tolerance=_TOLERANCE, known=known)
         return min(found, other, key=lambda end: end.cost)
 
     def _touches_again(self, state: FloatArray) -> bool:

@@ -266,8 +266,8 @@ def locate_touch(
             still, later = force[:begun], force[begun:end][:-_AT_THE_RISE]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
-            _, error = quiet_level(still)
-            if not _stays(still, later):
+            quiet, error = quiet_level(still)
+            if still.size < _BLOCKS or not _stays(quiet, error, later):
                 return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
@@ -277,20 +277,23 @@ def locate_touch(
 
 
 def _misses(onset: Onset, t: FloatArray, force: FloatArray, low: int, latest: float) -> bool:
-    """Return whether an onset lies where nothing is felt yet, and its curve misses the rise."""
+    """Return whether an onset is well before what is still quiet, and its curve is no match."""
     if low < _FEWEST or float(t[low]) - onset.t <= _EARLY * (latest - float(t[low])):
         return False
-    return math.sqrt(onset.rest / t.size) > _MISSED * float(np.std(force[:low]))
+    # The last of them may have a part of the rise. Of a coarse load cell all may be equal.
+    steps = np.abs(np.diff(force))
+    rounded = float(np.min(steps[steps > 0.0], initial=np.inf)) / math.sqrt(12.0)
+    noise = max(float(np.std(np.array_split(force[:low], 2)[0])), rounded)
+    return math.sqrt(onset.rest / t.size) > _MISSED * noise
 
 
-def _stays(still: FloatArray, later: FloatArray) -> bool:
-    """Return whether the force of a tool that has started stays where it was at rest."""
-    if min(still.size, later.size) < _BLOCKS:
+def _stays(quiet: float, error: float, later: FloatArray) -> bool:
+    """Return whether the force of a tool that has started has not risen from its level at rest."""
+    if later.size < _BLOCKS:
         return False
     # An arm that starts softly has hardly moved in the first half.
-    half = later.size // 2
-    (rest, error), (moving, moving_error) = quiet_level(still), quiet_level(later[half:])
-    return abs(moving - rest) < _RISEN * math.hypot(error, moving_error)
+    moving, moving_error = quiet_level(np.array_split(later, 2)[1])
+    return moving - quiet <= _RISEN * math.hypot(error, moving_error)
 
 
 def _led(

@@ -630,11 +630,7 @@ def test_a_tool_that_goes_to_and_fro_on_the_object_tells_it(
 def test_a_search_that_ends_before_a_jump_has_passed_all_samples_goes_on(
     beside: tuple[float, float, float],
 ) -> None:
-    """
-    Each sample that the force's jump passes, when the tool comes again, makes a valley.
-
-    It does beside noise that remembers.
-    """
+    """Beside noise with a memory each sample that the jump passes makes a valley."""
     body = specimen.Body(378.0, 1192.0, 1822.0)
     result = fit_prepared(_to_and_fro(body, 1.0, 4), Model())
     problem, begin = result.problem, result.state.copy()
@@ -644,8 +640,14 @@ def test_a_search_that_ends_before_a_jump_has_passed_all_samples_goes_on(
     begin[:3] += beside
     stuck = problem.search(begin, tolerance=1e-7)
     assert stuck.cost > least + 100.0
+    weighed = problem.log_determinant
     again = problem.search_on(stuck)
     assert again.cost == pytest.approx(least, abs=1.0)
+    # It is all the way down, beside the noise that it was asked for.
+    assert problem.search(again.theta, tolerance=1e-7).cost == pytest.approx(again.cost, rel=1e-6)
+    residual, _ = problem.evaluate(again.theta)
+    assert float(residual @ residual) == pytest.approx(again.cost, rel=1e-9)
+    assert problem.log_determinant == weighed
 
 
 def test_an_object_that_comes_after_a_tool_at_rest_is_told_beside_slow_noise() -> None:
