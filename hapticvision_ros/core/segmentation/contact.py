@@ -266,8 +266,8 @@ def locate_touch(
             still, later = force[:begun], force[begun:end][:-_AT_THE_RISE]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
-            quiet, error = quiet_level(still)
-            if still.size < _BLOCKS or not _stays(quiet, error, later):
+            rest, error = quiet_level(still)
+            if still.size < _BLOCKS or not _stays(rest, error, later):
                 return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
