@@ -846,6 +846,17 @@ def test_a_tool_that_starts_softly_near_the_object_does_not_rest_on_it(
     assert any('from the start' in warning for warning in found.warnings) == (not gap)
 
 
+@pytest.mark.parametrize('part', [0.005, 0.01, 0.02])
+def test_a_load_cell_that_shows_no_noise_is_as_sure_as_its_steps(part) -> None:
+    """A Hertzian contact leaves the air slowly, and the cell shows parts of its peak."""
+    t = np.arange(0.0, 20.0, 0.004)
+    x = np.interp(t, [0.0, 2.0, 12.0], [-2e-3, -2e-3, 8e-3])
+    step = part * 100.0
+    force = step * np.round(100.0 / step * (np.maximum(x, 0.0) / 8e-3) ** 1.5)
+    found = segment(Signal(t, force), Signal(t, 0.05 - x))
+    assert found.t_contact == pytest.approx(4.0, abs=0.004)
+
+
 @pytest.mark.parametrize(
     'range_sensor', [{'late': 0.3}, {'late': -0.3}, {'bias': 3e-4}, {'bias': -3e-4}]
 )

@@ -263,11 +263,11 @@ def locate_touch(
         if travelled <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             begun, end = np.searchsorted(t, (started, onset.t)).tolist()
-            still, later = force[:begun], force[begun:end][:-_AT_THE_RISE]
+            still, later = force[:begun], force[begun:end]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
             rest, error = quiet_level(still)
-            if still.size < _BLOCKS or not _stays(rest, error, later):
+            if not _stays(rest, error, later):
                 return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
@@ -291,8 +291,7 @@ def _stays(quiet: float, error: float, later: FloatArray) -> bool:
     """Return whether the force of a tool that has started has not risen from its level at rest."""
     if later.size < _BLOCKS:
         return False
-    # An arm that starts softly has hardly moved in the first half.
-    moving, moving_error = quiet_level(np.array_split(later, 2)[1])
+    moving, moving_error = quiet_level(later)
     return moving - quiet <= _RISEN * math.hypot(error, moving_error)
 
 

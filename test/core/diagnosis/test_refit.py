@@ -27,11 +27,12 @@ from hapticvision_ros.core.diagnosis.selection import eliminate, price, Round, s
 from hapticvision_ros.core.diagnosis.structure import GATE, look
 from hapticvision_ros.core.effects import EFFECTS
 from hapticvision_ros.core.fit.campaign import Blur, fit_prepared, in_order, line_spectrum, Problem
-from hapticvision_ros.core.fit.least_squares import covariance, NotFiniteError, Solution
+from hapticvision_ros.core.fit.least_squares import covariance, NotFiniteError
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import Signal, Trial
-from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force
+from hapticvision_ros.sim.campaigns import Campaign, ForceNoise, peak_force, Push, Sensors
 from hapticvision_ros.sim.specimen import Body, Undeclared
+from hapticvision_ros.sim.strengths import undeclared
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -203,19 +204,28 @@ def test_more_effects_explain_no_less_whatever_is_taken_for_a_jump(
     assert float(again @ again) == pytest.approx(found.cost)
 
 
-def test_each_refit_is_searched_on(lacking: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What draws a jump out moves the body further than a search beside slow noise finds."""
-    bench, base = lacking
-    searched = list[tuple[str, ...]]()
-
-    def go_on(self: Problem, found: Solution) -> Solution:
-        searched.append(self.model.effects)
-        return found
-
-    monkeypatch.setattr(Problem, 'search_on', go_on)
-    for name in ('yield_force', 'force_drift'):
-        assert bench.refit(Model((name,)), base) is not None
-        assert searched[-1] == (name,)
+def test_a_refit_does_not_end_on_its_way_where_the_tool_comes_again(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What stiffens moves the base parameters further than a search beside slow noise finds."""
+    body = Body(378.0, 1192.0, 1822.0)
+    pushes = tuple(
+        Push(speed, depth, 6.0, 4.0, swings=3, swing=0.65 * depth)
+        for speed, depth in ((0.002, 0.0018), (0.008, 0.0045), (0.002, 0.0032))
+    )
+    silent = Campaign(body, pushes, Sensors(ForceNoise(0.0), 0.0))
+    part = 0.0014 * peak_force(silent)
+    campaign = replace(silent, sensors=Sensors(ForceNoise(part, part, 0.03), 2e-5))
+    acting = undeclared('strain_stiffening', 20.0, campaign)
+    bench, base = world.measure(campaign, acting, seed=4).bench()
+    model = Model(('strain_stiffening',))
+    found = bench.refit(model, base)
+    monkeypatch.setattr(Problem, 'search_on', lambda _, found: found)
+    stuck = bench.refit(model, base)
+    assert found is not None
+    assert stuck is not None
+    assert found.deviance < stuck.deviance - 1000.0
+    assert np.exp(found.theta[0]) == pytest.approx(body.K1, rel=0.01)
 
 
 def test_each_parameter_costs_the_logarithm_of_the_samples(lacking: Bench) -> None:

@@ -591,6 +591,15 @@ def test_a_tool_that_comes_and_goes_along_a_sine_tells_the_object(
     assert result.noise.force.std == pytest.approx(0.02, rel=0.1)
 
 
+def _prepared(campaign: campaigns.Campaign, seed: int) -> list[FitTrial]:
+    """Return what is fitted of a campaign without an effect."""
+    ran = campaigns.run(campaign, [], seed=seed)
+    made, _ = prepare(
+        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in ran.trials]
+    )
+    return [trial for trial in made if trial is not None]
+
+
 def _to_and_fro(body: specimen.Body, share: float, swings: int) -> list[FitTrial]:
     """Return trials of a tool that goes back by a share of its way, and down again, and again."""
     pushes = tuple(
@@ -601,11 +610,7 @@ def _to_and_fro(body: specimen.Body, share: float, swings: int) -> list[FitTrial
         campaigns.Campaign(body, pushes, campaigns.Sensors(campaigns.ForceNoise(0.0), 0.0))
     )
     sensors = campaigns.Sensors(campaigns.ForceNoise(noise), 2e-5)
-    ran = campaigns.run(campaigns.Campaign(body, pushes, sensors), [], seed=4)
-    made, _ = prepare(
-        [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in ran.trials]
-    )
-    return [trial for trial in made if trial is not None]
+    return _prepared(campaigns.Campaign(body, pushes, sensors), 4)
 
 
 @pytest.mark.parametrize(
@@ -624,6 +629,18 @@ def test_a_tool_that_goes_to_and_fro_on_the_object_tells_it(
     errors = np.sqrt(np.diag(result.covariance)[:3])
     assert np.all(np.abs(off) < 4.0 * errors)
     assert errors.max() < 0.02
+
+
+@pytest.mark.parametrize('share', [0.34, 0.4])
+def test_the_first_search_is_not_led_astray_by_noise_with_a_memory(share: float) -> None:
+    """The tool leaves the object three times in each of two trials, deep and shallow."""
+    drawn = campaigns.random_campaign(41110, longest=30.0)
+    pushes = tuple(replace(push, swings=3, swing=share * push.depth) for push in drawn.pushes)
+    result = fit_prepared(_prepared(replace(drawn, pushes=pushes), 41110), Model())
+    off = result.theta[:3] - np.log([drawn.body.K1, drawn.body.C1, drawn.body.C2])
+    errors = np.sqrt(np.diag(result.covariance)[:3])
+    assert np.all(np.abs(off) < 4.0 * errors)
+    assert errors.max() < 0.01
 
 
 @pytest.mark.parametrize('beside', [(0.3, 0.1, -0.1), (-0.2, 0.2, 0.2)])
