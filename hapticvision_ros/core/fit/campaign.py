@@ -1775,8 +1775,7 @@ def _ended(
         find_onsets(problem, state)
         # Where the force jumps depends on the onsets.
         problem.set_noise(force_noise, height_noise, problem.unsure(state))
-        found = problem.search(state, tolerance=1e-4)
-        state = problem.search_on(found).theta
+        state = problem.search(state, tolerance=1e-4).theta
     problem.set_noise(force_noise, height_noise, problem.unsure(state))
     residual, _ = problem.evaluate(state)
     squares = float(residual @ residual)
