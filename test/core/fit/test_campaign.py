@@ -591,9 +591,11 @@ def test_a_tool_that_comes_and_goes_along_a_sine_tells_the_object(
     assert result.noise.force.std == pytest.approx(0.02, rel=0.1)
 
 
-def _prepared(campaign: campaigns.Campaign, seed: int) -> list[FitTrial]:
-    """Return what is fitted of a campaign without an effect."""
-    ran = campaigns.run(campaign, [], seed=seed)
+def _prepared(
+    campaign: campaigns.Campaign, seed: int, acting: Sequence[specimen.Undeclared] = ()
+) -> list[FitTrial]:
+    """Return what is fitted of a campaign."""
+    ran = campaigns.run(campaign, list(acting), seed=seed)
     made, _ = prepare(
         [(t, segment(t.force, t.tool_height, t.displacement_height)) for t in ran.trials]
     )
@@ -641,6 +643,27 @@ def test_the_first_search_is_not_led_astray_by_noise_with_a_memory(share: float)
     errors = np.sqrt(np.diag(result.covariance)[:3])
     assert np.all(np.abs(off) < 4.0 * errors)
     assert errors.max() < 0.01
+
+
+def test_a_base_fit_goes_on_where_it_lacks_what_acts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the object is touched again is off by what is lacking, and valleys are many."""
+    body = specimen.Body(3000.0, 1500.0, 4900.0)
+    pushes = tuple(
+        campaigns.Push(speed, depth, 6.0, 4.0, swings=3, swing=0.95 * depth)
+        for speed, depth in ((0.002, 0.0018), (0.008, 0.0046), (0.002, 0.0032), (0.008, 0.0032))
+    )
+    sensors = campaigns.Sensors(campaigns.ForceNoise(0.0, 0.08, 0.008), 2e-5)
+    campaign = campaigns.Campaign(body, pushes, sensors)
+    deeper = []
+    for threshold, seed in ((0.13, 1), (0.13, 2), (0.2, 1)):
+        made = _prepared(campaign, seed, [specimen.Undeclared('yield_force', (threshold,))])
+        found = fit_prepared(made, Model())
+        with monkeypatch.context() as patch:
+            patch.setattr(Problem, 'search_on', lambda _, found: found)
+            stuck = fit_prepared(made, Model())
+        deeper.append(stuck.deviance - found.deviance)
+    assert min(deeper) > -10.0
+    assert sum(deeper) > 300.0
 
 
 @pytest.mark.parametrize('beside', [(0.3, 0.1, -0.1), (-0.2, 0.2, 0.2)])
