@@ -846,6 +846,28 @@ def test_a_tool_that_starts_softly_near_the_object_does_not_rest_on_it(
     assert any('from the start' in warning for warning in found.warnings) == (not gap)
 
 
+@pytest.mark.parametrize('rest', [0.6, 1.5, 4.0])
+@pytest.mark.parametrize(('rounded', 'noise', 'off'), [(1.1e-6, 0.0, 6e-7), (1e-9, 1e-5, 3e-6)])
+@pytest.mark.parametrize('seed', range(3))
+def test_what_a_tool_rests_on_is_where_it_rests_however_softly_it_starts(
+    seed, rounded, noise, off, rest
+) -> None:
+    """Its load cell feels it start before its encoders show it, and both tell so."""
+    t = np.arange(0.0, rest + 12.0, 0.001)
+    part = np.clip((t - rest) / 4.3, 0.0, 1.0)
+    x = 2.9e-3 * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    force, _ = Body(stiffness=46.6e3, c1=43e3, c2=64.5e3).integrate(t, x)
+    random = np.random.default_rng(seed)
+    force += 0.047 * random.standard_normal(t.size)
+    height = 0.05 - x[::2] + noise * random.standard_normal(t[::2].size)
+    height = rounded * np.round(height / rounded)
+    found = segment(Signal(t, force), Signal(t[::2], height))
+    assert any('from the start' in warning for warning in found.warnings)
+    assert found.contact_height == pytest.approx(0.05, abs=off)
+    assert found.force_zero == pytest.approx(0.0, abs=4.0 * found.force_zero_std)
+    assert found.t_contact == pytest.approx(rest, abs=0.15)
+
+
 @pytest.mark.parametrize('part', [0.005, 0.01, 0.02])
 def test_a_load_cell_that_shows_no_noise_is_as_sure_as_its_steps(part) -> None:
     """A Hertzian contact leaves the air slowly, and the cell shows parts of its peak."""

@@ -40,6 +40,8 @@ _EARLY, _MISSED = 0.1, 2.0
 """An onset is early by this share of the rise; a curve is off by so many times the noise."""
 _RISEN = 4.0
 """Standard errors by which the force has risen since the tool has started."""
+_PART = 32
+"""Parts of a rest, in the last of which the force may have risen."""
 _AT_THE_RISE = 2
 """Samples before a rise that may have a part of it."""
 _AIR_BLOCKS, _MOST_BLOCKS = 16, 100
@@ -78,6 +80,9 @@ class Touch:
         Standard error of the tool's travel at `t` [m]; 0 where the touch is not in the record.
     t_push : float
         When the push begins [s], where a slow approach was waiting for the touch.
+    rest : float or None
+        Where a tool that rests on the object stays [m of travel]: one that starts softly has gone
+        some way until it is seen to.
 
     """
 
@@ -88,6 +93,7 @@ class Touch:
     zero_std: float = 0.0
     travel_std: float = 0.0
     t_push: float = -math.inf
+    rest: float | None = None
 
 
 def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:
@@ -259,16 +265,22 @@ def locate_touch(
     away = np.abs(x - x[0]) > 5.0 * travel_noise + 1e-3 * far
     moved = int(np.argmax(away))
     if moved >= 4:
-        travelled = float(np.interp(onset.t, tx, x)) - level(x[: moved - 1])
-        if travelled <= 5.0 * travel_noise + 0.01 * far:
+        stays = level(x[: moved - 1])
+        if float(np.interp(onset.t, tx, x)) - stays <= 5.0 * travel_noise + 0.01 * far:
             started = fit_start(tx, x, 0, moved)
             begun, end = np.searchsorted(t, (started, onset.t)).tolist()
             still, later = force[:begun], force[begun:end]
             if not still.size:
-                return Touch(started, None, 0.0, 'rest', travel_std=travel_noise)
+                return Touch(started, None, 0.0, 'rest', travel_std=travel_noise, rest=stays)
             rest, error = quiet_level(still)
             if not _stays(rest, error, later):
-                return Touch(started, float(np.mean(still)), 0.0, 'rest', error, travel_noise)
+                risen = _before_rise(still)
+                if risen < still.size:
+                    started, still = float(t[risen]), still[:risen]
+                    _, error = quiet_level(still)
+                    stays = level(x[: max(int(np.searchsorted(tx, started)), 1)])
+                zero = float(np.mean(still))
+                return Touch(started, zero, 0.0, 'rest', error, travel_noise, rest=stays)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
     error = _travel_std(tw, fw, travel, onset.t, onset.baseline, scatter)
@@ -293,6 +305,19 @@ def _stays(quiet: float, error: float, later: FloatArray) -> bool:
         return False
     moving, moving_error = quiet_level(later)
     return moving - quiet <= _RISEN * math.hypot(error, moving_error)
+
+
+def _before_rise(force: FloatArray) -> int:
+    """Return how many samples there are before a force rises by a start that is not seen yet."""
+    count = force.size
+    while count >= 2 * _BLOCKS:
+        head, last = np.split(force[:count], [count - max(count // _PART, _FEWEST)])
+        usual, error = quiet_level(head)
+        noise = error * math.sqrt(head.size)
+        if float(np.mean(last)) - usual <= _RISEN * noise / math.sqrt(last.size):
+            break
+        count = head.size
+    return count
 
 
 def _led(

@@ -106,8 +106,9 @@ class _Contact:
     """
     First touch: time [s], force zero [N] or None where there is none, force peak [N].
 
-    With the standard errors of the zero [N] and of the travel at the touch [m], and when the push
-    begins [s], where a slow approach was waiting for the touch.
+    With the standard errors of the zero [N] and of the travel at the touch [m], when the push
+    begins [s], where a slow approach was waiting for the touch, and where a tool stays that rests
+    on the object [m].
     """
 
     t: float | None
@@ -117,6 +118,14 @@ class _Contact:
     zero_std: float = 0.0
     travel_std: float = 0.0
     t_push: float = -math.inf
+    rest: float | None = None
+
+    def travel(self, record: _Record) -> float:
+        """Return the travel at the touch [m]."""
+        if self.rest is not None:
+            return self.rest
+        assert self.t is not None
+        return float(np.interp(self.t, record.tx, record.x))
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,13 +204,13 @@ def segment(
         return Segmentation(
             None, None, None, None, t_end, None, middle, None, None, contact.warnings
         )
-    x_contact = float(np.interp(contact.t, record.tx, record.x))
+    x_contact = contact.travel(record)
     motion = _find_motion(record, contact.t, x_contact, options)
     if displacement_height is not None and not contact.warnings and motion.t_hold is not None:
         seen = _seen_by_height(record, contact, x_contact, motion.t_hold, displacement_height)
         if seen is not contact and seen.t is not None:
             contact = seen
-            x_contact = float(np.interp(seen.t, record.tx, record.x))
+            x_contact = seen.travel(record)
             motion = _find_motion(record, seen.t, x_contact, options)
     first = _phases(record, tool_height, contact, motion, t_end, displacement_height, options)
     if motion.onward is None:
@@ -224,7 +233,7 @@ def _phases(
     """Return the phases of a trial whose touch is known, and how the tool goes on from there."""
     assert contact.t is not None
     t_contact = contact.t
-    x_contact = float(np.interp(t_contact, record.tx, record.x))
+    x_contact = contact.travel(record)
     warnings = [*contact.warnings, *motion.notes]
     t_hold, t_release = motion.t_hold, motion.t_release
     if t_hold is not None and t_release is not None:
@@ -415,6 +424,7 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         zero_std,
         touch.travel_std,
         touch.t_push,
+        touch.rest,
     )
 
 
