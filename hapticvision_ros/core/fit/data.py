@@ -165,6 +165,9 @@ _CROWDED: Final = 32
 """Changes of speed that may as well be a curve which shapes of arms follow in pieces."""
 _LOOSE: Final = 3
 """Corners that no shape follows, from which on a tool may go along a curve."""
+_FAINT: Final = 6.0
+"""Price of a corner at which it goes on nearly as before, which is more like a curve, over the
+logarithm of the number of samples."""
 _DITHERED: Final = 1.4
 """Noise of the encoders over that of their rounding, from which on like readings err apart."""
 _BADLY: Final = 1.35
@@ -1896,8 +1899,8 @@ def tool_path(displacement: Signal, phases: Segmentation, servo: Servo | None = 
     than the noise allows, so that a curved path is followed by many of them. Corners between two
     clear slopes go to where the lines meet, and the levels at all corners are those of least
     squares. A tool that goes neither straight nor by the shapes of arms, as with gears that
-    ripple, is followed along the smoothest way that the noise allows. Encoders that are nearly
-    exact are followed as far as the shapes of arms go.
+    ripple or where a force leads it, is followed along the smoothest way that the noise allows.
+    Encoders that are nearly exact are followed as far as the shapes of arms go.
 
     Parameters
     ----------
@@ -1961,6 +1964,7 @@ def _path(
             found is None
             or found[0].size > _CROWDED
             or _loose(found) >= min(_LOOSE, _timed(found) + 1)
+            or _faint(found)
         )
     ):
         way = _smooth_way(t[slice(*near)], value[slice(*near)], found, read)
@@ -2009,11 +2013,28 @@ def _smooth_way(
     least = _FOLLOWED * samples
     if found is not None:
         corners = found[0].size - 2 - len(_bends(found[2]))
+        faint = _faint(found)
         least = _misfit(t, value, found, noise, alike)
-        if corners < _LOOSE and least < _BADLY * samples and found[0].size <= _CROWDED:
+        few = corners < _LOOSE and found[0].size <= _CROWDED
+        if few and not faint and least < _BADLY * samples:
             return None
+        least += _FAINT * faint * math.log(t.size)
     way = smooth(t, value, noise, alike if samples < t.size else None)
     return way if way.misfit < least else None
+
+
+def _faint(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
+    """
+    Return at how many corners a tool presses on nearly as before.
+
+    An arm that is told a speed does not do that; one that is to press with a force does, as the
+    object gives way, along a curve.
+    """
+    slopes = np.diff(found[1]) / np.diff(found[0])
+    little = _HELD * float(np.abs(slopes).max())
+    presses = (slopes > little) & (found[1][1:] > 0.0)
+    nearly = np.abs(np.diff(slopes)) < little
+    return int(np.count_nonzero(nearly & presses[1:] & presses[:-1]))
 
 
 def _repeated(value: FloatArray, step: float) -> FloatArray:
