@@ -846,7 +846,7 @@ def test_a_tool_that_starts_softly_near_the_object_does_not_rest_on_it(
     assert any('from the start' in warning for warning in found.warnings) == (not gap)
 
 
-@pytest.mark.parametrize('rest', [0.6, 1.5, 4.0])
+@pytest.mark.parametrize('rest', [0.6, 1.5, 4.0, 20.0, 60.0])
 @pytest.mark.parametrize(('rounded', 'noise', 'off'), [(1.1e-6, 0.0, 6e-7), (1e-9, 1e-5, 3e-6)])
 @pytest.mark.parametrize('seed', range(3))
 def test_what_a_tool_rests_on_is_where_it_rests_however_softly_it_starts(
@@ -859,13 +859,15 @@ def test_what_a_tool_rests_on_is_where_it_rests_however_softly_it_starts(
     force, _ = Body(stiffness=46.6e3, c1=43e3, c2=64.5e3).integrate(t, x)
     random = np.random.default_rng(seed)
     force += 0.047 * random.standard_normal(t.size)
+    force[int(990.0 * rest)] += 10.0
     height = 0.05 - x[::2] + noise * random.standard_normal(t[::2].size)
     height = rounded * np.round(height / rounded)
     found = segment(Signal(t, force), Signal(t[::2], height))
     assert any('from the start' in warning for warning in found.warnings)
     assert found.contact_height == pytest.approx(0.05, abs=off)
     assert found.force_zero == pytest.approx(0.0, abs=4.0 * found.force_zero_std)
-    assert found.t_contact == pytest.approx(rest, abs=0.15)
+    assert found.t_contact == pytest.approx(rest, abs=0.1)
+    assert found.push_speed == pytest.approx(2.9e-3 / 4.3, rel=0.1)
 
 
 @pytest.mark.parametrize('part', [0.005, 0.01, 0.02])

