@@ -1964,7 +1964,6 @@ def _path(
             found is None
             or found[0].size > _CROWDED
             or _loose(found) >= min(_LOOSE, _timed(found) + 1)
-            or _faint(found)
         )
     ):
         way = _smooth_way(t[slice(*near)], value[slice(*near)], found, read)

@@ -333,7 +333,7 @@ def _before_rise(force: FloatArray) -> int:
         usual, error = quiet_level(before)
         noise = error * math.sqrt(before.size)
         if quiet_level(last)[0] - usual > _RISEN * noise / math.sqrt(size):
-            count, size = count - size, _FEWEST
+            count -= size
         else:
             size *= 2
     return count
