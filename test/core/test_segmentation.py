@@ -831,6 +831,26 @@ def test_the_touch_of_a_slow_first_step_is_where_the_force_jumps(noise, rounded,
     assert not any('from the start' in warning for warning in found.warnings)
 
 
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('off', [0.0005, 0.001, 0.0015])
+def test_steps_whose_force_is_forgotten_in_each_hold_begin_with_the_first(off, seed) -> None:
+    """No mass is all that such a step has moved: the tool rests until the next."""
+    t = np.arange(0.0, 22.0, 0.0005)
+    starts = np.array([1.3035, 6.4 + off, 11.5 + off, 16.6 + off])
+    # The last is the deepest, and its force the largest.
+    way = np.repeat([0.0, 1.5e-3, 3e-3, 4.5e-3, 6.2e-3], 2)
+    x = np.interp(t, [0.0, *np.stack((starts, starts + 0.1), axis=1).ravel(), 22.0], way)
+    force, _ = Body(stiffness=5e3, c1=100.0, c2=2.5e3).integrate(t, x)
+    random = np.random.default_rng(seed)
+    force = force[::10] + 0.03 * random.standard_normal(t[::10].size)
+    height = 0.05 - x[4::10] + 4e-7 * random.standard_normal(t[4::10].size)
+    # Between two samples of the encoders the tool seems to start before it does.
+    found = segment(Signal(t[::10], force), Signal(t[4::10], height))
+    assert found.t_contact == pytest.approx(starts[0], abs=0.005)
+    assert found.whole is not None
+    assert found.whole.depth == pytest.approx(6.2e-3, abs=2e-5)
+
+
 @NOISES
 @pytest.mark.parametrize('gap', [0.0, 1e-5, 2e-5])
 def test_a_tool_that_starts_softly_near_the_object_does_not_rest_on_it(

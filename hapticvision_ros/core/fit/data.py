@@ -2007,7 +2007,8 @@ def _smooth_way(
     error = rounding(value)
     # Readings that round and have hardly other noise err as one where they are the same.
     step = math.sqrt(12.0) * error
-    alike = _repeated(value, step) if noise < _DITHERED * error else np.ones(t.size)
+    rounds = noise < _DITHERED * error
+    alike = _repeated(value, step) if rounds else np.ones(t.size)
     samples = float(np.sum(1.0 / alike))
     least = _FOLLOWED * samples
     if found is not None:
@@ -2018,7 +2019,8 @@ def _smooth_way(
         if few and not faint and least < _BADLY * samples:
             return None
         least += _FAINT * faint * math.log(t.size)
-    way = smooth(t, value, noise, alike if samples < t.size else None)
+    # Also where no two are the same: what rounding makes of an even speed may ripple.
+    way = smooth(t, value, noise, alike if rounds else None)
     return way if way.misfit < least else None
 
 

@@ -48,6 +48,8 @@ _CALM = 16
 """Samples without force in a row that are no chance."""
 _STARTS = 0.5
 """Speed of the tool over that after it, below which it speeds up."""
+_THROUGHOUT = 0.1
+"""Part of its way without force that a tool has gone halfway, unless it was held."""
 _AT_THE_TOUCH = 2
 """Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
@@ -435,11 +437,14 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     low = int(risen[-1]) if risen.size else 0
     begin, end = high + gone[0], high + gone[1]
     length = float(record.tf[begin] - record.tf[low])
-    t = np.array([record.tf[low] - length, record.tf[low], record.tf[begin], record.tf[end - 1]])
+    gone_by, back_by = float(record.tf[begin]), float(record.tf[end - 1])
+    t = np.array([record.tf[low] - length, record.tf[low], gone_by, back_by])
     x = np.interp(t, record.tx, record.x)
-    before, after = (x[1] - x[0]) / length, (x[3] - x[2]) / max(t[3] - t[2], 1e-300)
+    before, after = (x[1] - x[0]) / length, (x[3] - x[2]) / max(back_by - gone_by, 1e-300)
     starts = x[3] - x[2] > 5.0 * record.travel_noise and before < _STARTS * after
-    return end if starts else None
+    # One that is held until the force has relaxed goes on at the end of that only.
+    halfway = float(np.interp(0.5 * (gone_by + back_by), record.tx, record.x))
+    return end if starts and halfway - x[2] > _THROUGHOUT * (x[3] - x[2]) else None
 
 
 def _seen_by_height(record: _Record, contact: _Contact, t_hold: float, height: Signal) -> _Contact:

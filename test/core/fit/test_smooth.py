@@ -155,6 +155,20 @@ def test_an_even_acceleration_has_no_jerk_and_is_not_straight() -> None:
     assert np.count_nonzero(way.t < 0.7) < 10
 
 
+@pytest.mark.parametrize('speed', [2.6e-4, 3.4e-4])
+@pytest.mark.parametrize('rate', [100.0, 125.0])
+def test_what_rounding_makes_of_an_even_speed_is_no_ripple(speed: float, rate: float) -> None:
+    """Of two steps a sample or so, where no reading is that before it."""
+    t = np.arange(0.0, 10.0, 1.0 / rate)
+    step = 1.5e-6
+    true = speed * np.abs(5.0 - t)
+    way = _smooth_way(t, step * np.round(true / step), None, step / math.sqrt(12.0))
+    assert way is not None
+    # As if it rippled it would be 1.5e-5 m/s and more.
+    even = (way.t > 1.0) & (way.t < 4.0)
+    assert np.std(np.gradient(way.value, way.t)[even]) < 1e-6
+
+
 def test_a_ripple_in_time_rests_with_the_tool_and_one_in_place_does_not() -> None:
     t = np.arange(0.0, 20.0, 0.002)
     for true, rests in ((_rippling, True), (_toothed, False)):
