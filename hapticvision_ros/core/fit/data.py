@@ -174,6 +174,9 @@ _BADLY: Final = 1.35
 """Squares over the noise, for each sample, from which on the shapes of arms are none of its."""
 _RESTS: Final = 40
 """Readings within a step of the encoders, one after another, in more of which a tool rests."""
+_EVENLY: Final = 6
+"""Readings that go on by the same from one to the next, in at least so many of which the errors of
+rounding are nearly the same."""
 _FOLLOWED: Final = 4.0
 """Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
@@ -2043,12 +2046,19 @@ def _repeated(value: FloatArray, step: float) -> FloatArray:
     """
     Return of how many readings one after the other each is one that err as one.
 
-    They are the same, or a tool that rests near the edge between two readings gives these in turn.
+    They are the same, or a tool that rests near the edge between two readings gives these in turn,
+    or it goes from each to the next by nearly a whole number of steps, the same for long.
     """
     starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
     counts = np.diff(starts, append=value.size)
     alike = np.repeat(counts, counts).astype(np.float64)
     _resting(value, 1.5 * step, alike)
+    further = np.diff(value)
+    starts = np.flatnonzero(np.abs(np.diff(further, prepend=np.inf)) > 0.5 * step)
+    counts = np.diff(starts, append=further.size)
+    evenly = np.repeat(np.where(counts + 1 < _EVENLY, 1, counts + 1), counts)
+    alike[:-1] = np.maximum(alike[:-1], evenly)
+    alike[1:] = np.maximum(alike[1:], evenly)
     return alike
 
 

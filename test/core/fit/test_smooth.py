@@ -169,6 +169,25 @@ def test_what_rounding_makes_of_an_even_speed_is_no_ripple(speed: float, rate: f
     assert np.std(np.gradient(way.value, way.t)[even]) < 1e-6
 
 
+@pytest.mark.parametrize('off', [0.0, 0.21, 0.43, 0.6, 0.83])
+def test_encoders_whose_steps_a_tool_passes_evenly_do_not_turn_it(off: float) -> None:
+    """At its fastest, at least jerk, it goes by nearly two steps from one reading to the next."""
+    t = np.arange(0.0, 18.0, 0.01)
+    step = 9.8e-6
+    fine = np.arange(1.0, 14.9, 1e-3)
+
+    def true(moments: np.ndarray) -> np.ndarray:
+        part = np.clip((moments - 1.0) / 13.9, 0.0, 1.0)
+        return np.asarray(15e-3 * part**3 * (10.0 - 15.0 * part + 6.0 * part**2) + off * step)
+
+    way = _smooth_way(t, step * np.round(true(t) / step), None, step / math.sqrt(12.0))
+    assert way is not None
+    missed = (np.interp(fine, way.t, way.value) - true(fine))[::20]
+    speed = np.diff(missed) / 0.02
+    # With each reading taken by itself it is 8.7e-5 to 9.6e-5 m/s there.
+    assert np.abs(speed[200:500]).max() < 1e-5
+
+
 def test_a_ripple_in_time_rests_with_the_tool_and_one_in_place_does_not() -> None:
     t = np.arange(0.0, 20.0, 0.002)
     for true, rests in ((_rippling, True), (_toothed, False)):
