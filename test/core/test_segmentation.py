@@ -716,6 +716,7 @@ class Slow:
     late: float = 0.0
     bias: float = 0.0
     mass: float = 0.0
+    knocked: float = 2.0
     step: float = 0.0
     early: float = 0.0
     jump: float = 0.0
@@ -743,7 +744,7 @@ class Slow:
         # The sample in which the tool touches is a mean.
         touching = (self.way(t) <= 0.0) & (self.way(t + 0.004) > 0.0)
         force += 100.0 * self.step * self.early * touching
-        force += self.mass * 0.01 * ((t > 2.0) & (t < 2.1))
+        force += self.mass * 0.01 * ((t > self.knocked) & (t < self.knocked + 0.1))
         force += 100.0 * self.jump * (t > self.touch - 1.3)
         tt = np.arange(0.0, 30.0, 0.008)
         th = np.arange(0.0, 30.0, 0.0167)
@@ -831,8 +832,8 @@ def test_the_touch_of_a_slow_first_step_is_where_the_force_jumps(noise, rounded,
     assert not any('from the start' in warning for warning in found.warnings)
 
 
-@pytest.mark.parametrize('seed', range(4))
-@pytest.mark.parametrize('off', [0.0005, 0.001, 0.0015])
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('off', [0.0005, 0.0015, 0.0018])
 def test_steps_whose_force_is_forgotten_in_each_hold_begin_with_the_first(off, seed) -> None:
     """No mass is all that such a step has moved: the tool rests until the next."""
     t = np.arange(0.0, 22.0, 0.0005)
@@ -994,6 +995,28 @@ def test_the_tools_own_mass_is_no_touch(seen) -> None:
     """The load cell feels the tool speed up in the air: here by a third of the largest force."""
     heavy = Slow(power=1.0, mass=3500.0)
     assert abs(heavy.off(seen=seen)) < 5e-5
+
+
+@pytest.mark.parametrize('seen', [True, False])
+@pytest.mark.parametrize('touch', [2.3, 2.4, 2.7])
+def test_a_knock_long_before_a_short_way_in_the_air_is_no_touch(touch, seen) -> None:
+    """The tool waits for most of the time from the knock to the touch."""
+    knocked = Slow(power=1.0, mass=3500.0, knocked=1.2, touch=touch)
+    assert abs(knocked.off(seen=seen)) < 1e-4
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_the_tools_own_mass_is_no_touch_either_where_it_waits_on_its_way(seed) -> None:
+    """It goes faster while the load cell feels its start than from then to the touch."""
+    t = np.arange(0.0, 16.0, 0.004)
+    begun = np.clip(t - 1.0, 0.0, 1.05)
+    x = np.where(begun < 0.1, 0.05 * begun**2, 0.01 * begun - 5e-4) - 10.1e-3
+    x += np.clip(t - 7.0, 0.0, 6.1) * 1e-3
+    random = np.random.default_rng(seed)
+    force = 100.0 * np.maximum(x, 0.0) / 6e-3 + 35.0 * ((t > 1.0) & (t < 1.1))
+    force += 0.6 * random.standard_normal(t.size)
+    found = segment(Signal(t, force), Signal(t, 0.05 - x + 1e-6 * random.standard_normal(t.size)))
+    assert found.contact_height == pytest.approx(0.05, abs=1e-4)
 
 
 @pytest.mark.parametrize(

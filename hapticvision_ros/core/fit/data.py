@@ -175,8 +175,7 @@ _BADLY: Final = 1.35
 _RESTS: Final = 40
 """Readings within a step of the encoders, one after another, in more of which a tool rests."""
 _EVENLY: Final = 6
-"""Readings that go on by the same from one to the next, in at least so many of which the errors of
-rounding are nearly the same."""
+"""Readings that go on by the same from one to the next, of which at least so many err as one."""
 _FOLLOWED: Final = 4.0
 """Squares over the noise, for each sample, that a curve leaves at most."""
 _MOST_PIECES: Final = 96
@@ -2008,7 +2007,7 @@ def _smooth_way(
     if t.size < _FEWEST:
         return None
     error = rounding(value)
-    # Readings that round and have hardly other noise err as one where they are the same.
+    # Readings that round and have hardly other noise err as one where they go on evenly.
     step = math.sqrt(12.0) * error
     rounds = noise < _DITHERED * error
     alike = _repeated(value, step) if rounds else np.ones(t.size)
@@ -2047,19 +2046,23 @@ def _repeated(value: FloatArray, step: float) -> FloatArray:
     Return of how many readings one after the other each is one that err as one.
 
     They are the same, or a tool that rests near the edge between two readings gives these in turn,
-    or it goes from each to the next by nearly a whole number of steps, the same for long.
+    or they go on by the same number of steps from each to the next for long: so the errors of
+    rounding change by little from one to the next.
     """
-    starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
-    counts = np.diff(starts, append=value.size)
-    alike = np.repeat(counts, counts).astype(np.float64)
+    alike = _lengths(np.diff(value) != 0.0)
     _resting(value, 1.5 * step, alike)
-    further = np.diff(value)
-    starts = np.flatnonzero(np.abs(np.diff(further, prepend=np.inf)) > 0.5 * step)
-    counts = np.diff(starts, append=further.size)
-    evenly = np.repeat(np.where(counts + 1 < _EVENLY, 1, counts + 1), counts)
+    evenly = _lengths(np.abs(np.diff(value, 2)) > 0.5 * step) + 1.0
+    evenly[evenly < _EVENLY] = 1.0
     alike[:-1] = np.maximum(alike[:-1], evenly)
     alike[1:] = np.maximum(alike[1:], evenly)
     return alike
+
+
+def _lengths(changes: NDArray[np.bool_]) -> FloatArray:
+    """Return the lengths of runs without a change from each to the next, for each in them."""
+    starts = np.flatnonzero(np.concatenate(([True], changes)))
+    counts = np.diff(starts, append=changes.size + 1)
+    return np.repeat(counts, counts).astype(np.float64)
 
 
 @kernel()

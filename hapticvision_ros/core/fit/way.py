@@ -91,7 +91,8 @@ def smooth(t: FloatArray, value: FloatArray, noise: float, alike: FloatArray | N
     noise : float
         Standard deviation of each [m].
     alike : ndarray, shape (n,), optional
-        Of how many samples each is one that err as one; one by default.
+        Of how many samples each is one that err as one, where they round; their errors may
+        repeat, so that no ripple is looked for. One by default.
 
     Returns
     -------

@@ -49,7 +49,7 @@ _CALM = 16
 _STARTS = 0.5
 """Speed of the tool over that after it, below which it speeds up."""
 _THROUGHOUT = 0.1
-"""Part of its way without force that a tool has gone halfway, unless it was held."""
+"""Part of its way without force that a tool which goes on has gone in half the time at least."""
 _AT_THE_TOUCH = 2
 """Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
@@ -428,7 +428,8 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     Return when a force is gone again that only the start of the tool has made; None for none.
 
     The mass of the tool hangs on the load cell, which feels it speed up. An object that is touched
-    is still there further on; one that tears, or is touched twice, does so without a start.
+    is still there further on; one that tears, or is touched twice, does so without a start, and
+    one that forgets the force of a step does so while the tool is held.
     """
     gone = next((last for last in runs(calm[high:peak]) if last[1] - last[0] >= _CALM), None)
     if gone is None:
@@ -442,9 +443,12 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     x = np.interp(t, record.tx, record.x)
     before, after = (x[1] - x[0]) / length, (x[3] - x[2]) / max(back_by - gone_by, 1e-300)
     starts = x[3] - x[2] > 5.0 * record.travel_noise and before < _STARTS * after
-    # One that is held until the force has relaxed goes on at the end of that only.
+    # A tool that is held until the force is forgotten goes on at the end of that only, and has
+    # gone faster before it. One may also wait after its start, or after a knock.
     halfway = float(np.interp(0.5 * (gone_by + back_by), record.tx, record.x))
-    return end if starts and halfway - x[2] > _THROUGHOUT * (x[3] - x[2]) else None
+    least = max(_THROUGHOUT * (x[3] - x[2]), 4.0 * record.travel_noise)
+    goes_on = halfway - x[2] > least or x[2] - x[1] < length * after
+    return end if starts and goes_on else None
 
 
 def _seen_by_height(record: _Record, contact: _Contact, t_hold: float, height: Signal) -> _Contact:

@@ -155,10 +155,9 @@ def test_an_even_acceleration_has_no_jerk_and_is_not_straight() -> None:
     assert np.count_nonzero(way.t < 0.7) < 10
 
 
-@pytest.mark.parametrize('speed', [2.6e-4, 3.4e-4])
-@pytest.mark.parametrize('rate', [100.0, 125.0])
+@pytest.mark.parametrize(('speed', 'rate'), [(2.6e-4, 100.0), (2.6e-4, 125.0), (3.4e-4, 100.0)])
 def test_what_rounding_makes_of_an_even_speed_is_no_ripple(speed: float, rate: float) -> None:
-    """Of two steps a sample or so, where no reading is that before it."""
+    """Of one to two steps a sample, where no reading is that before it, nor goes on as it."""
     t = np.arange(0.0, 10.0, 1.0 / rate)
     step = 1.5e-6
     true = speed * np.abs(5.0 - t)
@@ -260,6 +259,22 @@ def test_straight_pieces_remain_where_they_follow_the_samples(
     path = tool_path(Signal(t, _noisy(t, way, noise, rounded, 3)), PHASES)
     assert path.t.size <= 12
     assert path.still == math.inf
+
+
+@pytest.mark.parametrize('share', [0.0, 0.15, 0.3, 0.5])
+@pytest.mark.parametrize('passed', [1.0, 0.997, 2.0, 1.998, 3.003])
+def test_straight_pieces_remain_where_a_tool_passes_about_whole_steps(
+    passed: float, share: float
+) -> None:
+    """All readings of a push, or hundreds of them, err as one."""
+    t = np.arange(0.0, 20.0, 0.004)
+    rounded = 0.012e-3 / passed
+    value = rounded * np.round(_rippling(t, 0.0) / rounded + share)
+    path = tool_path(Signal(t, value), PHASES)
+    assert path.t.size <= 14
+    assert path.still == math.inf
+    fine = np.arange(1.05, 2.9, 0.01)
+    assert np.abs(np.diff(path.at(fine)) / 0.01 - 3e-3).max() < 1e-5
 
 
 def test_a_way_that_is_far_off_the_samples_is_none() -> None:
