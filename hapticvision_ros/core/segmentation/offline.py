@@ -48,8 +48,6 @@ _CALM = 16
 """Samples without force in a row that are no chance."""
 _STARTS = 0.5
 """Speed of the tool over that after it, below which it speeds up."""
-_THROUGHOUT = 0.1
-"""Part of its way without force that a tool which goes on has gone in half the time at least."""
 _AT_THE_TOUCH = 2
 """Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
@@ -446,8 +444,7 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     # A tool that is held until the force is forgotten goes on at the end of that only, and has
     # gone faster before it. One may also wait after its start, or after a knock.
     halfway = float(np.interp(0.5 * (gone_by + back_by), record.tx, record.x))
-    least = max(_THROUGHOUT * (x[3] - x[2]), 4.0 * record.travel_noise)
-    goes_on = halfway - x[2] > least or x[2] - x[1] < length * after
+    goes_on = halfway - x[2] > 4.0 * record.travel_noise or x[2] - x[1] < length * after
     return end if starts and goes_on else None
 
 
