@@ -48,6 +48,8 @@ _CALM = 16
 """Samples without force in a row that are no chance."""
 _STARTS = 0.5
 """Speed of the tool over that after it, below which it speeds up."""
+_FURTHER = 0.2
+"""Way of a tool from its start to the touch, over that in which it starts, at least."""
 _AT_THE_TOUCH = 2
 """Samples before a touch that may be of it already."""
 _UNMOVED = 3.0
@@ -423,7 +425,7 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
 
 def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) -> int | None:
     """
-    Return when a force is gone again that only the start of the tool has made; None for none.
+    Return when a force is gone again that was the start of the tool, or a knock; None for none.
 
     The mass of the tool hangs on the load cell, which feels it speed up. An object that is touched
     is still there further on; one that tears, or is touched twice, does so without a start, and
@@ -437,15 +439,13 @@ def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) 
     begin, end = high + gone[0], high + gone[1]
     length = float(record.tf[begin] - record.tf[low])
     gone_by, back_by = float(record.tf[begin]), float(record.tf[end - 1])
-    t = np.array([record.tf[low] - length, record.tf[low], gone_by, back_by])
-    x = np.interp(t, record.tx, record.x)
-    before, after = (x[1] - x[0]) / length, (x[3] - x[2]) / max(back_by - gone_by, 1e-300)
-    starts = x[3] - x[2] > 5.0 * record.travel_noise and before < _STARTS * after
-    # A tool that is held until the force is forgotten goes on at the end of that only, and has
-    # gone faster before it. One may also wait after its start, or after a knock.
-    halfway = float(np.interp(0.5 * (gone_by + back_by), record.tx, record.x))
-    goes_on = halfway - x[2] > 4.0 * record.travel_noise or x[2] - x[1] < length * after
-    return end if starts and goes_on else None
+    moments = record.tf[low] - length, record.tf[low], gone_by, back_by
+    first, rises, falls, last = np.interp(moments, record.tx, record.x).tolist()
+    before = (rises - first) / length
+    after = (last - falls) / max(back_by - gone_by, 1e-300)
+    starts = last - falls > 5.0 * record.travel_noise and before < _STARTS * after
+    # A tool that is held until the force is forgotten only settles, and begins to go on.
+    return end if starts and last - falls > _FURTHER * (falls - rises) else None
 
 
 def _seen_by_height(record: _Record, contact: _Contact, t_hold: float, height: Signal) -> _Contact:
