@@ -425,7 +425,7 @@ def _find_contact(record: _Record, options: SegmentationOptions) -> _Contact:
 
 def _calm_again(record: _Record, calm: NDArray[np.bool_], high: int, peak: int) -> int | None:
     """
-    Return when a force is gone again that was the start of the tool, or a knock; None for none.
+    Return when a force is gone again that was the tool's start, or a knock before; None for none.
 
     The mass of the tool hangs on the load cell, which feels it speed up. An object that is touched
     is still there further on; one that tears, or is touched twice, does so without a start, and

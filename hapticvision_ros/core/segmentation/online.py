@@ -176,8 +176,8 @@ class OnlineSegmenter:
     duration of the push and eight samples more.
 
     Not seen online: a contact in a record that starts in the hold, and that what the load cell
-    feels is only the tool's own mass as it starts, or a knock. A withdrawal that keeps a force
-    counts as a loss once the force stands still, which `segment` may place later.
+    feels is only the tool's own mass as it starts, or a knock on its way. A withdrawal that keeps
+    a force counts as a loss once the force stands still, which `segment` may place later.
 
     Memory is bounded, and a sample costs a constant number of operations; the sample that shows
     an event costs a fit of about a millisecond more, of some ten where stamps are uncertain.
