@@ -352,6 +352,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     """
     forces, heights = [], []
     problem = found.problem
+    in_air = [each for each in map(_heights, problem.trials) if each is not None]
+    single = _single(in_air, found.height_noise, problem.trials[0].height_interval)
     for index, (trial, phase) in enumerate(zip(problem.trials, phases, strict=True)):
         full = trial.full_rate
         prediction = problem.predict(found.state, index, full, directions=False)
@@ -371,8 +373,12 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
             noise = found.height_noise.std
             if noise > 0.0:
                 residual /= np.sqrt(1.0 + height_blocks(full).extra / noise**2)
-            # What the range sensor sees of the recovery is no silence.
-            parts = _parted(full.height_t, residual, trial, phase, after=False)
+            # What the range sensor sees of the recovery is no silence, and means are quieter.
+            averaged = None
+            if single.std > 0.0:
+                left = single.std_of_mean(full.height_count, full.height_interval)
+                averaged = _Averaged(single.std, left)
+            parts = _parted(full.height_t, residual, trial, phase, averaged, after=False)
             heights.append((trial.name, *parts))
     first = problem.trials[0]
     least_force, least_height = quietest(problem.trials)
@@ -385,9 +391,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     air = [_quiet(blocks, rest) for blocks, rest, _ in free]
     if coarse < _COARSE * found.force_noise.std:
         force_memory = _slower(air, found.force_noise, first.interval, least_force)
-    air = [each for each in map(_heights, problem.trials) if each is not None]
     if height_coarse < _COARSE * found.height_noise.std:
-        height_memory = _slower(air, found.height_noise, first.height_interval, least_height)
+        height_memory = _slower(in_air, found.height_noise, first.height_interval, least_height)
     held = (
         _held('force', forces, alike, least_force, coarse, memory=force_memory),
         _held(
@@ -450,14 +455,24 @@ def _quiet(blocks: Blocks, value: FloatArray) -> Record:
     return Record(blocks, value, np.zeros((0, value.size)), np.ones((1, value.size)))
 
 
+def _single(air: Sequence[Record], noise: SensorNoise, interval: float) -> SensorNoise:
+    """Return the noise of one height, of a range sensor that is seen in means of several."""
+    averaged = any(bool(np.any(each.blocks.count > 1.0)) for each in air)
+    return estimate(air, noise, interval) if averaged and _told(air) else noise
+
+
+def _told(air: Sequence[Record]) -> bool:
+    """Return whether what is seen without contact tells the noise."""
+    return sum(int(np.count_nonzero(each.blocks.count)) for each in air) >= _FEWEST
+
+
 def _slower(air: Sequence[Record], noise: SensorNoise, interval: float, least: float) -> float:
     """
     Return the memory of the noise of a fit, if the sensor's own is not as slow.
 
     A fit takes for slow noise whatever it lacks that goes on for as long as noise may.
     """
-    seen = sum(int(np.count_nonzero(each.blocks.count)) for each in air)
-    if seen < _FEWEST or noise.correlation_time <= interval:
+    if not _told(air) or noise.correlation_time <= interval:
         return 0.0
     own = estimate(air, noise, interval)
     if noise.slow < _SLOW * own.std or own.std <= least:
@@ -489,19 +504,43 @@ def _turning(trial: FitTrial, t: FloatArray) -> NDArray[np.bool_]:
     return near
 
 
+class _Averaged(NamedTuple):
+    """How noisy each sample of a record was, and what is left of that in each of its means."""
+
+    single: float
+    left: FloatArray
+
+
 def _parted(
-    t: FloatArray, residual: FloatArray, trial: FitTrial, phase: Segmentation, *, after: bool
+    t: FloatArray,
+    residual: FloatArray,
+    trial: FitTrial,
+    phase: Segmentation,
+    averaged: _Averaged | None = None,
+    *,
+    after: bool,
 ) -> tuple[list[FloatArray], FloatArray]:
-    """Return the residual without contact, less its means, before and after, and in contact."""
+    """
+    Return the residual without contact, less its means, before and after, and in contact.
+
+    Of a record that is averaged, as if each sample were there.
+    """
     loss = phase.t_end if phase.t_loss is None else phase.t_loss
     first = float(t[0]) if t.size else trial.t_contact
-    quiet = [residual[t < _before(trial, first)]]
+    silent = [t < _before(trial, first)]
     if after:
-        quiet.append(residual[t > loss + _SETTLING * (loss - trial.t_contact)])
-    return (
-        [part - part.mean() for part in quiet if part.size],
-        residual[(t > trial.t_contact) & (t < loss)],
-    )
+        silent.append(t > loss + _SETTLING * (loss - trial.t_contact))
+    quiet = [residual[each] - residual[each].mean() for each in silent if each.any()]
+    pressed = (t > trial.t_contact) & (t < loss)
+    loud = residual[pressed]
+    if averaged is not None:
+        single, left = averaged
+        of_each = [single / left[each] for each in silent if each.any()]
+        quiet = [part * times for part, times in zip(quiet, of_each, strict=True)]
+        # What acts in contact is in all that was averaged alike.
+        lost = np.sqrt(np.maximum(single**2 - left[pressed] ** 2, 0.0))
+        loud = np.copysign(np.hypot(loud, lost), loud)
+    return quiet, loud
 
 
 def _held(

@@ -88,6 +88,23 @@ class SensorNoise:
         """Return the variance of a mean over long, times its length, but for how it wanders."""
         return self.white**2 * interval + 2.0 * self.slow**2 * self.correlation_time
 
+    def std_of_mean(self, count: FloatArray, interval: float) -> FloatArray:
+        """Return the standard deviation of means of so many samples, `interval` [s] apart."""
+        variance = self.white**2 / count
+        for std, time in ((self.slow, self.correlation_time), (self.wander, self.wander_time)):
+            if std == 0.0:
+                continue
+            kept, gone = math.exp(-interval / time), -math.expm1(-interval / time)
+            if gone == 0.0:
+                variance = variance + std**2
+                continue
+            pairs = (
+                count * (1.0 + kept) / gone
+                + 2.0 * kept * np.expm1(-count * interval / time) / gone**2
+            )
+            variance = variance + std**2 * pairs / count**2
+        return np.sqrt(variance)
+
     def correlation(self, interval: float) -> float:
         """Return the correlation of two samples that are `interval` [s] apart."""
         if self.std == 0.0:

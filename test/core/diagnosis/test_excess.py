@@ -60,6 +60,22 @@ def test_a_range_sensor_with_another_scale_is_seen(heard: Any) -> None:
     assert found.ratio > 1.3
 
 
+def test_heights_that_come_often_are_as_loud_in_contact_as_without(world: Any) -> None:
+    """In the air, where steps are long, the fit works with means of several."""
+    usual = world.campaign([(0.2 * speed, depth) for speed, depth in world.four])
+    sensors = replace(usual.sensors, height_rate=usual.sensors.force_rate)
+    often = replace(usual, sensors=sensors, clearance=0.02)
+    measured = world.measure(often, seed=1)
+    _, base = measured.bench()
+    assert max(trial.height_count.max() for trial in base.problem.trials) > 4.0
+    assert louder(base, measured.phases) == ()
+    scaled = world.measure(often, Undeclared('height_gain', (-0.07,)), seed=1)
+    _, base = scaled.bench()
+    (found,) = louder(base, scaled.phases)
+    assert found.channel == 'displacement height'
+    assert found.ratio > 1.3
+
+
 def test_without_a_height_the_force_alone_is_held_against_its_noise(
     heard: Any, without_height: Callable[[Trial], Trial]
 ) -> None:

@@ -46,6 +46,20 @@ def _blocks(counts: list[int]) -> tuple[Blocks, np.ndarray]:
     return Blocks(count * INTERVAL, count, np.zeros(count.size)), mean
 
 
+@pytest.mark.parametrize('wander_time', [9.0, math.inf])
+@pytest.mark.parametrize('samples', [1, 2, 40])
+def test_means_are_as_noisy_as_the_full_covariance_says(samples: int, wander_time: float) -> None:
+    noise = SensorNoise(0.3, 0.7, 5e-3, 0.2, wander_time)
+    expected = math.sqrt(_covariance(noise, samples).mean())
+    assert noise.std_of_mean(np.array([1.0, samples]), INTERVAL) == pytest.approx(
+        [noise.std, expected], rel=1e-9
+    )
+    white = SensorNoise(0.3, 0.0, 0.0)
+    assert white.std_of_mean(np.array([samples]), INTERVAL) == pytest.approx(
+        0.3 / math.sqrt(samples)
+    )
+
+
 @pytest.mark.parametrize('wander', [0.0, 0.9])
 @pytest.mark.parametrize('correlation_time', [1e-4, 5e-3, 3.0])
 def test_whitening_means_is_that_of_the_full_covariance(
