@@ -2380,8 +2380,7 @@ def _bent(
             groups[-1].append(k)
         else:
             groups.append([k])
-    new_knots, new_levels = [float(knots[0])], [float(levels[0])]
-    turns: list[_Turned] = []
+    parts: list[_Turned | list[tuple[float, float]]] = [[(float(knots[0]), float(levels[0]))]]
     are_short = False
     pending = groups[::-1]
     while pending:
@@ -2409,9 +2408,7 @@ def _bent(
             both = _short_move(t, value, knots, levels, group, step, noise, mine, others)
             if both is not None:
                 are_short = True
-                new_knots += [at for turn in both for at, _ in turn.knots]
-                new_levels += [level for turn in both for _, level in turn.knots]
-                turns += both
+                parts += both
                 continue
         gaps = np.diff(knots[group])
         waits = found is not None and found.shape.wait > 0.0 and not found.bend.common
@@ -2421,15 +2418,14 @@ def _bent(
             pending += [group[cut:], group[:cut]]
             continue
         if found is None:
-            new_knots += knots[group].tolist()
-            new_levels += levels[group].tolist()
+            parts.append(list(zip(knots[group].tolist(), levels[group].tolist(), strict=True)))
             continue
-        new_knots += [at for at, _ in found.knots]
-        new_levels += [level for _, level in found.knots]
-        turns.append(found)
-    new_knots.append(float(knots[-1]))
-    new_levels.append(float(levels[-1]))
-    made, heights = np.array(new_knots), np.array(new_levels)
+        parts.append(found)
+    parts.append([(float(knots[-1]), float(levels[-1]))])
+    _rest_alike(parts)
+    turns = [part for part in parts if isinstance(part, _Turned)]
+    ends = [each for part in parts for each in (part.knots if isinstance(part, _Turned) else part)]
+    made, heights = np.array(ends).T
     path = ToolPath(made, heights, noise, tuple(_bends(turns)))
     before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
     after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
@@ -2439,6 +2435,33 @@ def _bent(
             return _bent(t, value, knots, levels, noise, coarse, servo, touch, short=False)
         return knots, levels, []
     return made, heights, turns
+
+
+def _rest_alike(parts: list[_Turned | list[tuple[float, float]]]) -> None:
+    """
+    Let a tool that is read the same all the time between two changes of speed rest at one place.
+
+    Each of them tells for itself where within a step of the encoders that is, by how the tool
+    comes there and leaves it, and two places would be a tool that creeps.
+    """
+    for k in range(len(parts) - 1):
+        one, other = parts[k], parts[k + 1]
+        if not isinstance(one, _Turned) or not isinstance(other, _Turned):
+            continue
+        stop, start = one.corner, other.corner
+        if stop.rest != 1 or start.rest != 0 or stop.next_level != start.level:
+            continue
+        squares = np.zeros(stop.shifts.size)
+        for turn in (one, other):
+            left = np.array([turn.corner.left(turn.shape, s) for s in stop.shifts.tolist()])
+            # What no shape follows tells less of where it rests.
+            squares += left / max(
+                1.0, float(left.min()) / (turn.corner.t.size * turn.corner.noise**2)
+            )
+        shift = stop.likely(squares)
+        for place, turn in ((k, one), (k + 1, other)):
+            meeting, level = turn.corner.meeting(shift)
+            parts[place] = turn._replace(bend=replace(turn.bend, t=meeting), level=level)
 
 
 def _short_move(
@@ -2953,7 +2976,7 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     steps = np.abs(np.diff(value))
     nothing = _EXACT[0] * float(np.ptp(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
-    moves = steps > _MOVING * noise
+    moves = steps > _MOVING * max(noise, rounded)
     fast = moves[2:-1] & moves[1:-2] & moves[:-3]
     off = beside[1:-1][fast]
     many: np.bool_ | bool = off.size >= _FEWEST

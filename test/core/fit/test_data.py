@@ -132,6 +132,33 @@ def test_how_a_tool_comes_to_rest_tells_where_it_rests_within_a_step(speed) -> N
     assert np.std(path_off) < 0.7 * np.std(read_off)
 
 
+@pytest.mark.parametrize('speed', [0.001, 0.0035, 0.012])
+def test_a_tool_that_reads_the_same_from_its_stop_to_its_start_does_not_creep(speed) -> None:
+    """How it comes there and how it leaves tell where within a step of 10 um: at one place."""
+    t = np.arange(0.0, 14.5, 0.004)
+    way = _served(t, speed, 0.05, 0.03)
+    rests = (t > 3.6) & (t < 12.5)
+    first_off = []
+    for shift in np.linspace(0.0, 1e-5, 16, endpoint=False):
+        read = np.round((way + shift) / 1e-5) * 1e-5
+        off = tool_path(Signal(t, read), PHASES).at(t[rests]) - (way + shift)[rests]
+        assert abs(off[-1] - off[0]) < 1e-8
+        first_off.append(off[0])
+    # Those of one reading are off by 2.9 um.
+    assert np.std(first_off) < 1.5e-6
+
+
+def test_readings_that_flicker_at_rest_are_no_noise_of_a_tool_on_its_way() -> None:
+    """One in eight is the next one, 10 um away, as noise of a seventh of that makes it there."""
+    t = np.arange(0.0, 20.0, 0.002)
+    way = _tool(t, [0.0, 3.0, 15.0, 18.0, 20.0], [-0.0006, 0.0006, 0.0006, -0.006, -0.006])
+    noise = 1.4e-6 * np.random.default_rng(1).standard_normal(t.size)
+    read = np.round((way - 0.0006 + 3.4e-6 + noise) / 1e-5) * 1e-5 + 0.0006
+    path = tool_path(Signal(t, read), PHASES)
+    # That of rounding, with what is added to it.
+    assert 2.8e-6 < path.noise < 3.5e-6
+
+
 def test_what_encoders_add_to_a_curve_makes_no_force() -> None:
     """Steps of 1e-5 of the depth, of samples that no shape of an arm follows."""
     random = np.random.default_rng(8)
