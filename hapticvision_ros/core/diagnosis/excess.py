@@ -353,7 +353,8 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     forces, heights = [], []
     problem = found.problem
     in_air = [each for each in map(_heights, problem.trials) if each is not None]
-    single = _single(in_air, found.height_noise, problem.trials[0].height_interval)
+    height_interval = next((t.height_interval for t in problem.trials if t.height_t.size), 1.0)
+    single = _single(in_air, found.height_noise, height_interval)
     for index, (trial, phase) in enumerate(zip(problem.trials, phases, strict=True)):
         full = trial.full_rate
         prediction = problem.predict(found.state, index, full, directions=False)
@@ -369,21 +370,20 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
         forces.append((trial.name, *_parted(t[good], residual[good], trial, phase, after=True)))
         if full.height_t.size:
             residual = full.height - prediction.height - height_zero
-            # What stamps that are off make of a surface that moves is no noise of the sensor.
-            noise = found.height_noise.std
-            if noise > 0.0:
-                residual /= np.sqrt(1.0 + height_blocks(full).extra / noise**2)
-            # What the range sensor sees of the recovery is no silence, and means are quieter.
             averaged = None
             if single.std > 0.0:
                 left = single.std_of_mean(full.height_count, full.height_interval)
-                averaged = _Averaged(single.std, left)
+                # What stamps that are off make of a surface that moves is no noise of the sensor.
+                residual /= np.sqrt(1.0 + height_blocks(full).extra / left**2)
+                if np.any(full.height_count > 1.0):
+                    averaged = _Averaged(single.std, left)
+            # What the range sensor sees of the recovery is no silence.
             parts = _parted(full.height_t, residual, trial, phase, averaged, after=False)
             heights.append((trial.name, *parts))
     first = problem.trials[0]
     least_force, least_height = quietest(problem.trials)
     alike = _alike(found.force_noise, first.interval)
-    height_alike = _alike(found.height_noise, first.height_interval)
+    height_alike = _alike(found.height_noise, height_interval)
     coarse = max(rounding(t.samples.force[t.samples.good]) for t in problem.trials)
     height_coarse = max(rounding(t.full_rate.height) for t in problem.trials)
     force_memory = height_memory = 0.0
@@ -392,7 +392,7 @@ def louder(found: Refit, phases: Sequence[Segmentation]) -> tuple[Excess, ...]:
     if coarse < _COARSE * found.force_noise.std:
         force_memory = _slower(air, found.force_noise, first.interval, least_force)
     if height_coarse < _COARSE * found.height_noise.std:
-        height_memory = _slower(in_air, found.height_noise, first.height_interval, least_height)
+        height_memory = _slower(in_air, found.height_noise, height_interval, least_height)
     held = (
         _held('force', forces, alike, least_force, coarse, memory=force_memory),
         _held(
@@ -458,7 +458,9 @@ def _quiet(blocks: Blocks, value: FloatArray) -> Record:
 def _single(air: Sequence[Record], noise: SensorNoise, interval: float) -> SensorNoise:
     """Return the noise of one height, of a range sensor that is seen in means of several."""
     averaged = any(bool(np.any(each.blocks.count > 1.0)) for each in air)
-    return estimate(air, noise, interval) if averaged and _told(air) else noise
+    if not averaged or not _told(air) or noise.std == 0.0 or noise.correlation_time <= 0.0:
+        return noise
+    return estimate(air, noise, interval)
 
 
 def _told(air: Sequence[Record]) -> bool:
@@ -504,6 +506,11 @@ def _turning(trial: FitTrial, t: FloatArray) -> NDArray[np.bool_]:
     return near
 
 
+def _about_its_mean(part: FloatArray) -> FloatArray:
+    """Return what is seen less its mean: exactly nothing of what is always the same."""
+    return part - part.mean() if np.ptp(part) > 0.0 else np.zeros(part.size)
+
+
 class _Averaged(NamedTuple):
     """How noisy each sample of a record was, and what is left of that in each of its means."""
 
@@ -530,13 +537,13 @@ def _parted(
     silent = [t < _before(trial, first)]
     if after:
         silent.append(t > loss + _SETTLING * (loss - trial.t_contact))
-    quiet = [residual[each] - residual[each].mean() for each in silent if each.any()]
+    silent = [each for each in silent if each.any()]
+    quiet = [_about_its_mean(residual[each]) for each in silent]
     pressed = (t > trial.t_contact) & (t < loss)
     loud = residual[pressed]
     if averaged is not None:
         single, left = averaged
-        of_each = [single / left[each] for each in silent if each.any()]
-        quiet = [part * times for part, times in zip(quiet, of_each, strict=True)]
+        quiet = [part * (single / left[each]) for part, each in zip(quiet, silent, strict=True)]
         # What acts in contact is in all that was averaged alike.
         lost = np.sqrt(np.maximum(single**2 - left[pressed] ** 2, 0.0))
         loud = np.copysign(np.hypot(loud, lost), loud)

@@ -2439,10 +2439,11 @@ def _bent(
 
 def _rest_alike(parts: list[_Turned | list[tuple[float, float]]]) -> None:
     """
-    Let a tool that is read the same all the time between two changes of speed rest at one place.
+    Let a tool that reads the same after a stop and before the next start rest at one place.
 
-    Each of them tells for itself where within a step of the encoders that is, by how the tool
-    comes there and leaves it, and two places would be a tool that creeps.
+    Each of the two tells for itself where within a step of the encoders that is, by how the tool
+    comes there and leaves it, and two places would be a tool that creeps. It is their mean, as how
+    well each is told hangs on shapes that are hardly known.
     """
     for k in range(len(parts) - 1):
         one, other = parts[k], parts[k + 1]
@@ -2451,14 +2452,7 @@ def _rest_alike(parts: list[_Turned | list[tuple[float, float]]]) -> None:
         stop, start = one.corner, other.corner
         if stop.rest != 1 or start.rest != 0 or stop.next_level != start.level:
             continue
-        squares = np.zeros(stop.shifts.size)
-        for turn in (one, other):
-            left = np.array([turn.corner.left(turn.shape, s) for s in stop.shifts.tolist()])
-            # What no shape follows tells less of where it rests.
-            squares += left / max(
-                1.0, float(left.min()) / (turn.corner.t.size * turn.corner.noise**2)
-            )
-        shift = stop.likely(squares)
+        shift = 0.5 * (one.level + other.level) - start.level
         for place, turn in ((k, one), (k + 1, other)):
             meeting, level = turn.corner.meeting(shift)
             parts[place] = turn._replace(bend=replace(turn.bend, t=meeting), level=level)
@@ -2976,8 +2970,12 @@ def _encoder_noise(t: FloatArray, value: FloatArray) -> float:
     steps = np.abs(np.diff(value))
     nothing = _EXACT[0] * float(np.ptp(value))
     # Stamps that are a little off make noise of the tool's speed, which a tool at rest hides.
-    moves = steps > _MOVING * max(noise, rounded)
+    moves = steps > _MOVING * noise
     fast = moves[2:-1] & moves[1:-2] & moves[:-3]
+    if rounded > 0.0:
+        # Readings that flicker at rest go there and back.
+        way = np.sign(np.diff(value))
+        fast &= (way[2:-1] == way[1:-2]) & (way[1:-2] == way[:-3])
     off = beside[1:-1][fast]
     many: np.bool_ | bool = off.size >= _FEWEST
     if many and noise == 0.0 == rounded:

@@ -91,18 +91,17 @@ class SensorNoise:
     def std_of_mean(self, count: FloatArray, interval: float) -> FloatArray:
         """Return the standard deviation of means of so many samples, `interval` [s] apart."""
         variance = self.white**2 / count
+        lengths, each = np.unique(count, return_inverse=True)
         for std, time in ((self.slow, self.correlation_time), (self.wander, self.wander_time)):
             if std == 0.0:
                 continue
-            kept, gone = math.exp(-interval / time), -math.expm1(-interval / time)
-            if gone == 0.0:
-                variance = variance + std**2
-                continue
-            pairs = (
-                count * (1.0 + kept) / gone
-                + 2.0 * kept * np.expm1(-count * interval / time) / gone**2
-            )
-            variance = variance + std**2 * pairs / count**2
+            alike = np.ones(lengths.size)
+            if time < math.inf:
+                for k, length in enumerate(lengths.tolist()):
+                    of = np.zeros(5)
+                    _of_length(length * interval, length, time, of)
+                    alike[k] = of[3] + of[2] ** 2
+            variance = variance + std**2 * alike[each]
         return np.sqrt(variance)
 
     def correlation(self, interval: float) -> float:

@@ -19,7 +19,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hapticvision_ros.core.diagnosis.excess import _held, bursts, Excess, louder, Stretch
+from hapticvision_ros.core.diagnosis.excess import (
+    _about_its_mean,
+    _held,
+    bursts,
+    Excess,
+    louder,
+    Stretch,
+)
 from hapticvision_ros.core.fit.campaign import Problem
 from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.sim.campaigns import peak_force
@@ -74,6 +81,14 @@ def test_heights_that_come_often_are_as_loud_in_contact_as_without(world: Any) -
     (found,) = louder(base, scaled.phases)
     assert found.channel == 'displacement height'
     assert found.ratio > 1.3
+
+
+@pytest.mark.parametrize('height', [1.7e-7, 2.1e-7, 3.3e-7])
+def test_a_height_that_is_always_the_same_is_no_noise_at_all(height: float) -> None:
+    """What is left of it by rounding would be one, once means of several are weighed."""
+    assert not _about_its_mean(np.full(117, height)).any()
+    seen = np.array([1.0, 2.0, 6.0])
+    assert _about_its_mean(seen).tolist() == [-2.0, -1.0, 3.0]
 
 
 def test_without_a_height_the_force_alone_is_held_against_its_noise(
