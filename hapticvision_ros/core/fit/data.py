@@ -49,6 +49,7 @@ from hapticvision_ros.core.fit.bend import (
     WILDEST,
 )
 from hapticvision_ros.core.fit.glitches import find_glitches, resolution
+from hapticvision_ros.core.fit.interpolated import readings
 from hapticvision_ros.core.fit.noise import rounding
 from hapticvision_ros.core.fit.saturation import at_the_end, end_of_range
 from hapticvision_ros.core.fit.short_move import short_move, ShortMove
@@ -1931,6 +1932,7 @@ def _path(
     bad = _misread(value)
     if bad.any():
         t, value = t[~bad], value[~bad]
+    t, value = readings(t, value)
     noise = _encoder_noise(t, value)
     late = _late(t, value, noise)
     if late.any():

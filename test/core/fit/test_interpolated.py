@@ -1,0 +1,106 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Encoders between whose readings a driver draws straight lines."""
+
+import math
+
+from hapticvision_ros.core.fit.data import tool_path
+from hapticvision_ros.core.fit.interpolated import readings
+from hapticvision_ros.core.records import Segmentation, Signal
+import numpy as np
+import pytest
+
+PHASES = Segmentation(1.0, 3.0, 13.0, 13.35, 14.5, 0.04, 0.0, 0.0035, 0.007)
+TURNS = [0.0, 3.0, 13.0, 13.5, 14.6]
+PLACES = [-0.0035, 0.007, 0.007, -0.003, -0.003]
+NOISE = 1e-6
+
+
+def _read(interval: float, noise: float = NOISE) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is read seldom of a tool that goes straight."""
+    t = np.arange(0.0, 14.55, interval)
+    seen = np.interp(t, TURNS, PLACES)
+    return t, seen + noise * np.random.default_rng(3).standard_normal(t.size)
+
+
+@pytest.mark.parametrize('rate', [250.0, 400.0, 997.0])
+@pytest.mark.parametrize('interval', [0.016, 0.02])
+def test_the_readings_come_back(rate: float, interval: float) -> None:
+    t, value = _read(interval)
+    told = np.arange(0.003, 14.5, 1.0 / rate)
+    found_t, found = readings(told, np.interp(told, t, value))
+    inner = slice(1, -1)
+    places = np.rint(found_t[inner] / interval).astype(int)
+    assert np.all(np.diff(places) == 1)
+    # Where three readings lie nearly on a line, that in the middle is not seen as well.
+    assert np.mean(np.abs(found_t[inner] - t[places]) < 1e-6) > 0.99
+    # Of the last one the line after it is too short.
+    places = places[:-2]
+    assert np.interp(t[places], found_t, found) == pytest.approx(value[places], abs=1e-9)
+
+
+def test_readings_that_lie_on_a_line_are_not_left_out() -> None:
+    """At rest encoders that round read the same."""
+    t, value = _read(0.016, noise=2e-5)
+    value = np.round(value / 1e-5) * 1e-5
+    value[300:320] = value[300]
+    told = np.arange(0.003, 14.5, 0.0025)
+    found_t, found = readings(told, np.interp(told, t, value))
+    assert np.diff(found_t[1:-1]) == pytest.approx(0.016, abs=1e-6)
+    assert np.interp(t[1:-5], found_t, found) == pytest.approx(value[1:-5], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    'what', ['noise', 'exact', 'curved', 'uneven', 'to and fro', 'few', 'out of order', 'rests']
+)
+def test_other_samples_stay_as_they_are(what: str) -> None:
+    told = np.arange(0.003, 14.5, 0.0025)
+    value = np.interp(told, TURNS, PLACES)
+    if what == 'noise':
+        value += NOISE * np.random.default_rng(1).standard_normal(told.size)
+    elif what == 'curved':
+        value += 1e-4 * np.sin(told)
+    elif what == 'uneven':
+        at = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.03, 800))
+        value += np.interp(told, at, NOISE * np.random.default_rng(2).standard_normal(at.size))
+    elif what == 'to and fro':
+        value += 1e-4 * np.abs((told / 0.1) % 2.0 - 1.0)
+    elif what == 'few':
+        t, read = _read(0.016)
+        told = told[:100]
+        value = np.interp(told, t, read)
+    elif what == 'out of order':
+        t, read = _read(0.016)
+        value = np.interp(told, t, read)
+        told[50] = told[51]
+    elif what == 'rests':
+        value = np.full(told.size, 0.003)
+    found_t, found = readings(told, value)
+    assert found_t is told
+    assert found is value
+
+
+def test_a_tool_whose_driver_interpolates_goes_straight() -> None:
+    """Readings of 62.5 Hz, told at 400 Hz: followed as told its speed is off by 88 um/s."""
+    t, value = _read(0.016)
+    told = np.arange(0.003, 14.5, 0.0025)
+    path = tool_path(Signal(told, np.interp(told, t, value)), PHASES)
+    assert path.noise == pytest.approx(NOISE, rel=0.15)
+    assert path.t.size < 12
+    pushed = np.arange(1.0, 2.9, 0.0025)
+    speed = np.diff(path.at(pushed)) / 0.0025
+    assert speed == pytest.approx(0.0035, abs=1e-6)
+    assert math.isclose(path.interval, 0.016, rel_tol=1e-3)
