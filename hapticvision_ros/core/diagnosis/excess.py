@@ -291,7 +291,10 @@ def bursts(found: Refit, phases: Sequence[Segmentation]) -> Bursts | Stretch | N
         taken = np.ones(full.middle.size, dtype=np.bool_)
         if full.samples.missing is not None:
             taken = ~full.samples.missing
-        astray = taken & ~full.samples.good & (np.abs(residual) > _OUTLYING * noise)
+        # What the way of the tool leaves open there stands off as far.
+        unknown = np.interp(full.middle, trial.middle, found.jumps[index])
+        beyond = np.abs(residual) > _OUTLYING * np.sqrt(noise**2 + unknown)
+        astray = taken & ~full.samples.good & beyond
         starts = np.array([first for first, _ in runs(astray)], dtype=np.intp)
         total += starts.size
         count += int(np.count_nonzero(taken))

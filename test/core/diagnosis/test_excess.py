@@ -249,6 +249,9 @@ def test_a_stretch_that_stands_off_at_once_is_no_glitch(world: Any, kind: str) -
         assert found is None
         return
     assert isinstance(found, Stretch)
+    # What the way of the tool leaves open by as much is none.
+    open_ways = tuple(np.full(jumps.shape, (0.1 * largest) ** 2) for jumps in base.jumps)
+    assert bursts(replace(base, jumps=open_ways), measured.phases) is None
     assert (found.phase, found.trials) == ('hold', ('trial_01', 'trial_02', 'trial_03'))
     assert found.longest == pytest.approx(0.3, abs=0.02)
     assert found.rms == pytest.approx(0.2 * largest, rel=0.1)

@@ -52,6 +52,15 @@ def test_the_readings_come_back(rate: float, interval: float) -> None:
     assert np.interp(t[places], found_t, found) == pytest.approx(value[places], abs=1e-9)
 
 
+def test_no_reading_is_next_to_the_first_or_the_last_sample() -> None:
+    """Stamps that begin with a reading, of which every 32nd falls on one."""
+    t, value = _read(0.016)
+    told = np.arange(0.0, 14.5, 0.0025)
+    found_t, _ = readings(told, np.interp(told, t, value))
+    assert found_t.size < told.size
+    assert np.diff(found_t).min() > 0.007
+
+
 def test_readings_that_lie_on_a_line_are_not_left_out() -> None:
     """At rest encoders that round read the same."""
     t, value = _read(0.016, noise=2e-5)
@@ -64,7 +73,24 @@ def test_readings_that_lie_on_a_line_are_not_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    'what', ['noise', 'exact', 'curved', 'uneven', 'to and fro', 'few', 'out of order', 'rests']
+    'what',
+    [
+        'noise',
+        'exact',
+        'curved',
+        'uneven',
+        'to and fro',
+        'quickly to and fro',
+        'few',
+        'out of order',
+        'rests',
+        'swings for a while',
+        'one is far away',
+        'stamped years later',
+        'every second or third',
+        'noisy for a while',
+        'very seldom',
+    ],
 )
 def test_other_samples_stay_as_they_are(what: str) -> None:
     told = np.arange(0.003, 14.5, 0.0025)
@@ -74,10 +100,31 @@ def test_other_samples_stay_as_they_are(what: str) -> None:
     elif what == 'curved':
         value += 1e-4 * np.sin(told)
     elif what == 'uneven':
-        at = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.03, 800))
-        value += np.interp(told, at, NOISE * np.random.default_rng(2).standard_normal(at.size))
+        at = np.cumsum(np.random.default_rng(1).uniform(0.015, 0.03, 800))
+        value = np.interp(told, at, NOISE * np.random.default_rng(2).standard_normal(at.size))
     elif what == 'to and fro':
         value += 1e-4 * np.abs((told / 0.1) % 2.0 - 1.0)
+    elif what == 'quickly to and fro':
+        value += 1e-4 * np.abs((told / 0.02) % 2.0 - 1.0)
+    elif what in ('swings for a while', 'one is far away', 'stamped years later'):
+        t, read = _read(0.016)
+        value = np.interp(told, t, read)
+        if what == 'swings for a while':
+            value += 1e-4 * np.where((told > 6.0) & (told < 6.05), np.sin(told) ** 2, 0.0)
+        elif what == 'one is far away':
+            value[2000] += 1e-4
+        else:
+            told[-1] = 1.7e9
+    elif what == 'every second or third':
+        value = np.interp(told, *_read(0.0025 * 2.9))
+    elif what == 'noisy for a while':
+        value = np.interp(told, *_read(0.016))
+        random = np.random.default_rng(1)
+        value += np.where((told > 6.0) & (told < 9.0), 1e-7, 0.0) * random.standard_normal(
+            told.size
+        )
+    elif what == 'very seldom':
+        value = np.interp(told, *_read(0.1))
     elif what == 'few':
         t, read = _read(0.016)
         told = told[:100]
