@@ -47,7 +47,7 @@ from hapticvision_ros.core.records import Signal, Trial
 from hapticvision_ros.core.segmentation import OnlineSegmenter
 from hapticvision_ros.nodes.bag_player import BagPlayer, LARGEST_TICK_NS, result_lines
 from hapticvision_ros.nodes.conversions import ns_from_stamp, values_from_status
-from hapticvision_ros.nodes.qos import create_subscription
+from hapticvision_ros.nodes.qos import interface_class, publisher_profile, relative_name
 from hapticvision_ros.nodes.rheology_fitter import (
     _told,
     result_values,
@@ -119,7 +119,13 @@ class Listener:
     def hear(self, topic: Topic) -> list[float]:
         """Return a list that grows by each number on a topic."""
         heard: list[float] = []
-        create_subscription(self.node, topic, lambda message: heard.append(message.data))
+        # Each event is told once: a busy machine loses messages that nobody asks for again.
+        self.node.create_subscription(
+            interface_class(topic.msgtype),
+            relative_name(topic.name),
+            lambda message: heard.append(message.data),
+            publisher_profile(topic.qos),
+        )
         return heard
 
     def set_source(self, source: str) -> None:
@@ -140,11 +146,13 @@ class Listener:
         self.node.destroy_node()
 
 
-def wait_until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition, with a deadline."""
+def wait_until(
+    condition: Callable[[], object], what: str, heard: Callable[[], object] = lambda: 'nothing'
+) -> None:
+    """Wait for a condition, with a deadline; say what was `heard` instead."""
     end = time.monotonic() + DEADLINE
     while not condition():
-        assert time.monotonic() < end, f'{what}: not within {DEADLINE:g} s'
+        assert time.monotonic() < end, f'{what}: not within {DEADLINE:g} s, heard {heard()}'
         time.sleep(0.01)
 
 
@@ -241,6 +249,7 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
             wait_until(
                 lambda kind=kind, first=first, at=expected_time: heard[kind][first:][-1:] == [at],
                 f'the {kind} of the segmenter at {t:g} s',
+                lambda kind=kind, first=first: heard[kind][first:],
             )
 
 
