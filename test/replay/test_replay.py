@@ -147,12 +147,12 @@ class Listener:
 
 
 def wait_until(
-    condition: Callable[[], object], what: str, heard: Callable[[], object] = lambda: 'nothing'
+    condition: Callable[[], object], what: str, instead: Callable[[], object] = lambda: ''
 ) -> None:
-    """Wait for a condition, with a deadline; say what was `heard` instead."""
+    """Wait for a condition, with a deadline; say what is there `instead`."""
     end = time.monotonic() + DEADLINE
     while not condition():
-        assert time.monotonic() < end, f'{what}: not within {DEADLINE:g} s, heard {heard()}'
+        assert time.monotonic() < end, f'{what}: not within {DEADLINE:g} s {instead()}'
         time.sleep(0.01)
 
 
@@ -249,7 +249,7 @@ def test_a_replay_through_the_nodes_gives_the_numbers_of_the_offline_fit(nodes, 
             wait_until(
                 lambda kind=kind, first=first, at=expected_time: heard[kind][first:][-1:] == [at],
                 f'the {kind} of the segmenter at {t:g} s',
-                lambda kind=kind, first=first: heard[kind][first:],
+                lambda kind=kind, first=first: f'but {heard[kind][first:]}',
             )
 
 

@@ -29,8 +29,6 @@ import numpy as np
 
 _STRAIGHT: Final = 1e-9
 """Part of the way by which a sample may leave the line through its neighbours: arithmetic."""
-_SHARE: Final = 0.3
-"""Samples on such lines, below which no source is seen."""
 _FEWEST: Final = 32
 """Readings that show that they come regularly."""
 _SPARSE: Final = 2.95
@@ -73,8 +71,6 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     slope = np.diff(value) / step
     off = np.abs(np.diff(slope)) * np.minimum(step[1:], step[:-1])
     straight = off <= _STRAIGHT * float(np.ptp(value))
-    if not _SHARE < np.mean(straight) < 1.0:
-        return t, value
     # Of each line the first interval between two samples, and the last.
     on_line = np.zeros(slope.size, dtype=np.bool_)
     on_line[:-1] |= straight

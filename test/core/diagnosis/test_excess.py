@@ -17,11 +17,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 from hapticvision_ros.core.diagnosis.excess import (
     _about_its_mean,
+    _Averaged,
     _held,
+    _parted,
     bursts,
     Excess,
     louder,
@@ -81,6 +84,18 @@ def test_heights_that_come_often_are_as_loud_in_contact_as_without(world: Any) -
     (found,) = louder(base, scaled.phases)
     assert found.channel == 'displacement height'
     assert found.ratio > 1.3
+
+
+def test_means_are_as_loud_as_each_of_their_samples() -> None:
+    """And what acts in contact is no louder for them."""
+    t = 0.01 * np.arange(8000)
+    left = np.where(np.arange(t.size) % 2, 0.4, 1.0)
+    read = left * np.random.default_rng(1).standard_normal(t.size) + np.where(t > 40.0, 0.5, 3.0)
+    trial: Any = SimpleNamespace(t_contact=40.0)
+    phase: Any = SimpleNamespace(t_end=80.0, t_loss=None)
+    (quiet,), loud = _parted(t, read, trial, phase, _Averaged(1.0, left), after=False)
+    assert np.sqrt(np.mean(quiet**2)) == pytest.approx(1.0, rel=0.05)
+    assert np.sqrt(np.mean(loud**2)) == pytest.approx(np.hypot(1.0, 0.5), rel=0.05)
 
 
 @pytest.mark.parametrize('height', [1.7e-7, 2.1e-7, 3.3e-7])
