@@ -19,23 +19,27 @@ Work on several processors.
 Threads share one interpreter, which most of a fit waits for: a second one hardly helps. Processes
 that are forked see all that there is already, and only what they find is sent back. A process that
 has threads is never forked, as any of them may hold a lock: there, threads have to do.
+
+The pools of the standard library are not used for processes: all workers of one send through the
+same pipe, and who ends one of them amid a result (as those do who have enough, an interrupt, or a
+machine short of memory) may leave the reader waiting for the rest of it for ever. Here each has a
+pipe of its own, which ends with it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 import copyreg
 import ctypes
-from dataclasses import dataclass
 import io
 import multiprocessing
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
 import pickle
 import signal
 import threading
-import time
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -43,11 +47,6 @@ _TASKS: Final = Path('/proc/self/task')
 """Where Linux lists the threads of this process, those of libraries too."""
 _MOST_THREADS: Final = 2
 """More hardly help."""
-_JOINED: Final = 0.5
-_LOOK: Final = 1e-4
-"""Longest time for which a thread that has ended is seen, and how often to look [s]."""
-_staying: dict[int, int] = {}
-"""How many threads a process was seen not to lose in this time."""
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM)
 _END_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of linux/prctl.h."""
@@ -90,21 +89,9 @@ def each[T, R](
 
 def _can_fork() -> bool:
     """Return whether this process has but one thread, and is no worker itself."""
-    worker = bool(_given) or multiprocessing.current_process().daemon
-    if worker or threading.active_count() > 1:
+    if multiprocessing.current_process().daemon or threading.active_count() > 1:
         return False
-    if 'fork' not in multiprocessing.get_all_start_methods():
-        return False
-    # A thread that has been joined is seen for a moment still; those of a library stay.
-    deadline = time.monotonic() + _JOINED
-    while (threads := _threads()) > 1:
-        if threads == _staying.get(os.getpid()):
-            return False
-        if time.monotonic() > deadline:
-            _staying[os.getpid()] = threads
-            return False
-        time.sleep(_LOOK)
-    return threads == 1
+    return 'fork' in multiprocessing.get_all_start_methods() and _threads() == 1
 
 
 def _threads() -> int:
@@ -119,33 +106,71 @@ def _forked[T, R](
     function: Callable[[T], R], items: Sequence[T], workers: int, known: Sequence[object]
 ) -> Iterator[R]:
     """Yield the results of forked processes."""
-    context = multiprocessing.get_context('fork')
-    others = multiprocessing.active_children()
-    done = 0
-    with ProcessPoolExecutor(
-        workers, context, _take, (function, items, known, os.getpid())
-    ) as pool:
-        try:
-            with _undisturbed():
-                results = pool.map(_one, range(len(items)))
-            for made in results:
-                yield _Reader(io.BytesIO(made), known).load()
-                done += 1
-        except BrokenProcessPool:
-            # A worker was ended from outside, as where memory is short.
-            pass
-        finally:
-            if done < len(items):
-                # Nobody waits for what they are at, as after an interrupt.
-                for child in multiprocessing.active_children():
-                    if child not in others:
-                        child.terminate()
-    yield from map(function, items[done:])
+    team = dict[Connection, BaseProcess]()
+    places = iter(range(len(items)))
+    at = dict[Connection, int]()
+    made = dict[int, bytes]()
+
+    def go_on(link: Connection) -> None:
+        place = next(places, None)
+        if place is not None:
+            # Where it has ended, nobody is at this one.
+            with suppress(OSError):
+                link.send(place)
+                at[link] = place
+
+    try:
+        with _undisturbed():
+            for _ in range(workers):
+                _start(team, function, items, known)
+        for link in team:
+            go_on(link)
+        for place, item in enumerate(items):
+            while place in at.values():
+                ready = wait(list(at))
+                for link in [each for each in at if each in ready]:
+                    done = at.pop(link)
+                    # It may have been ended from outside, as where memory is short.
+                    with suppress(EOFError, OSError):
+                        made[done] = link.recv_bytes()
+                        go_on(link)
+            if sent := made.pop(place, b''):
+                yield _Reader(io.BytesIO(sent), known).load()
+            else:
+                # Nobody has done it. An error is the caller's own so.
+                yield function(item)
+    finally:
+        for link, worker in team.items():
+            # Where some are at work still, as after an interrupt, nobody waits for that.
+            worker.terminate()
+            link.close()
+        for worker in team.values():
+            worker.join()
+            worker.close()
+
+
+def _start(
+    team: dict[Connection, BaseProcess],
+    function: Callable[[Any], object],
+    items: Sequence[Any],
+    known: Sequence[object],
+) -> None:
+    """Start one worker more."""
+    here, there = multiprocessing.Pipe()
+    worker = multiprocessing.get_context('fork').Process(
+        target=_work,
+        args=(there, function, items, known, os.getpid()),
+        daemon=True,
+    )
+    worker.start()
+    team[here] = worker
+    # What only the worker has ends with it.
+    there.close()
 
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Let signals wait: a pool that is interrupted as it starts its processes never ends."""
+    """Let signals wait: of processes that are interrupted as they start, nobody may know."""
     former = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     try:
         yield
@@ -153,26 +178,14 @@ def _undisturbed() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-@dataclass(slots=True)
-class _Work:
-    """What a forked process has to do."""
-
-    function: Callable[[Any], object]
-    items: Sequence[Any]
-    known: Sequence[object]
-
-
-_given: list[_Work] = []
-"""The work of this process, if it is a worker."""
-
-
-def _take(
+def _work(
+    link: Connection,
     function: Callable[[Any], object],
     items: Sequence[Any],
     known: Sequence[object],
     parent: int,
 ) -> None:
-    """Begin as a worker, who ends with the process that has started it, and at an interrupt."""
+    """Be a worker, who ends with the process that has started it, and at an interrupt."""
     # In the background of a shell nobody is interrupted.
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -182,15 +195,15 @@ def _take(
     if os.getppid() != parent:
         # It has ended before that.
         os._exit(1)
-    _given.append(_Work(function, items, known))
-
-
-def _one(index: int) -> bytes:
-    """Return the result for one item as it is sent."""
-    work = _given[-1]
-    made = io.BytesIO()
-    _Writer(made, work.known).dump(work.function(work.items[index]))
-    return made.getvalue()
+    while True:
+        place = link.recv()
+        made = io.BytesIO()
+        try:
+            _Writer(made, known).dump(function(items[place]))
+        except Exception:
+            # Who has asked for it does it again, and sees why it fails.
+            made = io.BytesIO()
+        link.send_bytes(made.getbuffer())
 
 
 def _mapping(of: MappingProxyType[Any, Any]) -> tuple[Any, ...]:
