@@ -23,9 +23,11 @@ speed at every reading by what the noise of two of them makes over the time betw
 import math
 from typing import Final
 
+from hapticvision_ros.core.kernels import kernel
 from hapticvision_ros.core.outliers import NORMAL_FROM_MAD
 from hapticvision_ros.core.records import FloatArray
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 _STRAIGHT: Final = 1e-9
 """Part of the way by which a sample may leave the line through its neighbours: arithmetic."""
@@ -35,6 +37,32 @@ _SPARSE: Final = 2.95
 _DENSE: Final = 20.0
 """Samples from one reading to the next: with fewer not every line has three; more are how a tool
 goes."""
+_DENSEST: Final = 1.2
+"""Samples from one reading to the next where not every line has three: with fewer yet hardly more
+is told than read, and nothing shows how."""
+_OUTSIDE: Final = 3.0
+"""Medians beyond which what samples turn by is no noise."""
+_UNLIKE: Final = -0.5
+"""How alike two turns in a row are at least where some samples lie on lines between others: with
+1.2 a reading by -0.40 to -0.29."""
+_WINDOW: Final = 128
+"""Samples at which their interval and phase are looked for first."""
+_PHASES: Final = 24
+_PARTS: Final = 7
+_CHANCES: Final = 8
+_ZOOM: Final = 0.7
+_QUICK: Final = 0.5
+_SURE: Final = 1e-8
+"""Phases that are looked at, parts of what is looked at more closely, how many intervals have that
+chance, how much more closely, also where they are nearly known, and until when."""
+_AGAIN: Final = 1e-3
+"""Part of an interval by which those of the window may be off at the ends of all samples."""
+_MOST_TIMES: Final = 4
+"""How many times as many readings as there are may be found at first."""
+_NOTHING: Final = 1e-13
+"""Squares of a sample's share that are always known of a reading: nothing is divided by zero."""
+_UNTOLD: Final = 1e-3
+"""Part of what a reading turns by that may be missed: of a smooth way it is a sixteenth."""
 _REGULAR: Final = 0.02
 """Part of their interval by which the times between the lines' ends may be no multiples of it."""
 _USUAL: Final = 0.9
@@ -65,9 +93,17 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
         themselves where that does not tell all of them.
 
     """
-    step = np.diff(t)
-    if t.size < _FEWEST or not np.all(step > 0.0):
+    if t.size < _FEWEST or not np.all(np.diff(t) > 0.0):
         return t, value
+    found = _where_lines_meet(t, value)
+    if found is None:
+        found = _that_fit(t, value)
+    return (t, value) if found is None else found
+
+
+def _where_lines_meet(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return readings between which lines have three samples or more."""
+    step = np.diff(t)
     slope = np.diff(value) / step
     off = np.abs(np.diff(slope)) * np.minimum(step[1:], step[:-1])
     straight = off <= _STRAIGHT * float(np.ptp(value))
@@ -88,18 +124,18 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     known = (apart == 1) | (between & (met >= t[before + 1]) & (met <= t[after]))
     at = met[known]
     if at.size < _FEWEST:
-        return t, value
+        return None
     gaps = np.diff(at)
     interval = float(np.median(gaps))
     usual = float(np.median(step))
     if not _SPARSE * usual < interval < _DENSE * usual:
-        return t, value
+        return None
     # Nothing is read more often than it is told.
     if t[-1] - t[0] > interval * t.size:
-        return t, value
+        return None
     times = np.maximum(np.rint(gaps / interval), 1.0)
     if np.mean(np.abs(gaps - times * interval) < _REGULAR * interval) < _USUAL:
-        return t, value
+        return None
     level = (value[before] + slope[before] * (met - t[before]))[known]
     # Readings that lie on one line with their neighbours are readings as well.
     parts = times.astype(np.intp)
@@ -120,5 +156,170 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     missed = np.abs(np.interp(t, knots, levels) - value)
     told = float(np.mean(missed <= _MISSED * float(np.ptp(value))))
     if np.mean(usual_turn) > _ALIKE or told < _MOSTLY or float(missed.max()) > _SIGMAS * noise:
-        return t, value
+        return None
     return whole, np.interp(whole, knots, levels)
+
+
+def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """
+    Return readings at regular times, fewer than the samples, that tell all of these.
+
+    Where lines have two samples or one, their ends are not seen. But at the right interval and
+    phase the readings, of which there are fewer than samples, miss none of these.
+    """
+    usual = float(np.median(np.diff(t)))
+    # Nothing is read more often than it is told.
+    if t.size < _WINDOW or t[-1] - t[0] > _DENSEST * usual * t.size:
+        return None
+    bent = np.diff(value, 2)
+    turns = np.abs(bent)
+    # Of noise that is new in each sample two in a row are unlike, by two thirds; most records end
+    # here.
+    most = _OUTSIDE * float(np.median(turns))
+    usual_bent = np.clip(bent, -most, most)
+    if usual_bent[1:] @ usual_bent[:-1] < _UNLIKE * (usual_bent @ usual_bent):
+        return None
+    # Where the tool changes its speed, that is most of what readings at wrong times miss.
+    windows = sliding_window_view(turns, _WINDOW - 2)[:: _WINDOW // 2]
+    usual_turn = np.median(windows, axis=1)
+    told = usual_turn > _STRAIGHT * float(np.ptp(value))
+    if not told.any():
+        return None
+    beyond = windows.max(axis=1) / np.where(told, usual_turn, 1.0)
+    calmest = int(np.argmin(np.where(told, beyond, math.inf)))
+    first = calmest * (_WINDOW // 2)
+    enough = _UNTOLD * float(usual_turn[calmest])
+    near = slice(first, first + _WINDOW)
+    at = t[near], value[near] - value[near].mean()
+    step = 0.5 / _WINDOW
+    ratios = np.exp(np.arange(math.log(_DENSEST), math.log(_SPARSE) + step, step))
+    phases = np.arange(_PHASES) / _PHASES
+    middle = 0.5 * float(at[0][0] + at[0][-1])
+    left = _missed(*at, middle, usual, phases, ratios - 1.0)
+    # Of many readings fewer samples are left to be missed.
+    left /= 1.0 - 1.0 / ratios[:, np.newaxis]
+    centre = middle
+    for which in np.argsort(left.min(axis=1))[:_CHANCES]:
+        interval = usual * float(ratios[which])
+        middle = centre + float(phases[np.argmin(left[which])]) * interval
+        middle, interval, miss = _closer(*at, middle, interval, (1.0 / _PHASES, step), _ZOOM)
+        if miss <= enough:
+            break
+    else:
+        return None
+    # Twice as many readings miss nothing either, where the tool is read half as often.
+    for times in range(_MOST_TIMES, 1, -1):
+        apart = interval * times
+        phases = np.arange(times) / times
+        left = _missed(*at, middle, apart, phases, np.zeros(1))[0]
+        if math.sqrt(float(left.min()) / _WINDOW) <= enough:
+            middle += float(phases[np.argmin(left)]) * apart
+            interval = apart
+            break
+    middle += round((0.5 * float(t[0] + t[-1]) - middle) / interval) * interval
+    mean = float(value.mean())
+    off = _AGAIN * interval / float(t[-1] - t[0])
+    middle, interval, miss = _closer(t, value - mean, middle, interval, (_AGAIN, off), _QUICK)
+    if miss > enough:
+        return None
+    start = middle - math.ceil((middle - t[0]) / interval) * interval
+    level, known, beside = np.empty((3, int((t[-1] - start) / interval) + 2))
+    _fit(t, value - mean, start, interval, level, known, beside)
+    times_read = start + interval * np.arange(level.size)
+    inner = (times_read > t[0] + 0.5 * interval) & (times_read < t[-1] - 0.5 * interval)
+    inner &= known > 2.0 * _NOTHING
+    return (
+        np.concatenate((t[:1], times_read[inner], t[-1:])),
+        np.concatenate((value[:1], level[inner] + mean, value[-1:])),
+    )
+
+
+def _closer(
+    t: FloatArray,
+    value: FloatArray,
+    middle: float,
+    interval: float,
+    off: tuple[float, float],
+    zoom: float,
+) -> tuple[float, float, float]:
+    """
+    Return a moment and an interval of readings near those that are known, and what they miss.
+
+    The moment, and the interval, are off by these parts of the interval.
+    """
+    phase, stretch = off
+    parts = np.linspace(-1.0, 1.0, _PARTS)
+    while True:
+        left = _missed(t, value, middle, interval, phase * parts, stretch * parts)
+        best, at = np.unravel_index(int(np.argmin(left)), left.shape)
+        interval *= 1.0 + stretch * float(parts[best])
+        middle += phase * float(parts[at]) * interval
+        if phase < _SURE:
+            return middle, interval, math.sqrt(float(left[best, at]) / t.size)
+        phase *= zoom
+        stretch *= zoom
+
+
+def _missed(
+    t: FloatArray,
+    value: FloatArray,
+    middle: float,
+    interval: float,
+    phases: FloatArray,
+    stretches: FloatArray,
+) -> FloatArray:
+    """Return the squares that readings miss, by how their interval is stretched, and by phase."""
+    least = interval * (1.0 + float(stretches.min()))
+    scratch = np.empty((3, int((t[-1] - t[0]) / least) + 4))
+    left = np.empty((stretches.size, phases.size))
+    _try(t, value, middle, interval, phases, stretches, left, scratch)
+    return left
+
+
+@kernel()
+def _try(t, value, middle, interval, phases, stretches, left, scratch):  # type: ignore[no-untyped-def]
+    """Fill in the squares that are missed at each interval and phase."""
+    for which in range(stretches.size):
+        apart = interval * (1.0 + stretches[which])
+        for at in range(phases.size):
+            one = middle + phases[at] * apart
+            first = one - math.ceil((one - t[0]) / apart) * apart
+            count = int((t[-1] - first) / apart) + 2
+            left[which, at] = _fit(
+                t, value, first, apart, scratch[0, :count], scratch[1, :count], scratch[2, :count]
+            )
+
+
+@kernel()
+def _fit(t, value, first, interval, level, known, beside):  # type: ignore[no-untyped-def]
+    """
+    Fit readings to samples on the lines between them, and return the squares that are missed.
+
+    Of readings that no sample tells of, `known` remains what it begins with.
+    """
+    level[:] = 0.0
+    known[:] = _NOTHING
+    beside[:] = 0.0
+    for k in range(t.size):
+        place = (t[k] - first) / interval
+        near = min(max(int(place), 0), level.size - 2)
+        part = place - near
+        known[near] += (1.0 - part) ** 2
+        known[near + 1] += part**2
+        beside[near] += part * (1.0 - part)
+        level[near] += (1.0 - part) * value[k]
+        level[near + 1] += part * value[k]
+    for near in range(level.size - 1):
+        share = beside[near] / known[near]
+        known[near + 1] -= share * beside[near]
+        level[near + 1] -= share * level[near]
+    level[-1] /= known[-1]
+    for near in range(level.size - 2, -1, -1):
+        level[near] = (level[near] - beside[near] * level[near + 1]) / known[near]
+    left = 0.0
+    for k in range(t.size):
+        place = (t[k] - first) / interval
+        near = min(max(int(place), 0), level.size - 2)
+        part = place - near
+        left += (value[k] - (1.0 - part) * level[near] - part * level[near + 1]) ** 2
+    return left

@@ -52,6 +52,49 @@ def test_the_readings_come_back(rate: float, interval: float) -> None:
     assert np.interp(t[places], found_t, found) == pytest.approx(value[places], abs=1e-9)
 
 
+@pytest.mark.parametrize('rate', [150.0, 160.0, 200.0, 250.0, 312.5, 357.0])
+@pytest.mark.parametrize('start', [0.0, 0.003])
+def test_readings_come_back_where_lines_have_two_samples_or_one(rate: float, start: float) -> None:
+    t, value = _read(0.008)
+    told = np.arange(start, 14.5, 1.0 / rate)
+    found_t, found = readings(told, np.interp(told, t, value))
+    inner = slice(1, -1)
+    places = np.rint(found_t[inner] / 0.008).astype(int)
+    assert np.all(np.diff(places) == 1)
+    assert found_t[inner] == pytest.approx(t[places], abs=1e-8)
+    assert found[inner] == pytest.approx(value[places], abs=1e-4 * NOISE)
+    assert found_t[[0, -1]].tolist() == told[[0, -1]].tolist()
+
+
+def test_readings_come_back_at_any_rate() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(12):
+        ratio, interval = random.uniform(1.22, 2.9), random.choice([0.004, 0.008, 0.016])
+        t, value = _read(interval, noise=10.0 ** random.uniform(-7.0, -5.0))
+        told = np.arange(random.uniform(0.0, 0.01), 14.5, interval / ratio)
+        found_t, _ = readings(told, np.interp(told, t, value))
+        assert np.diff(found_t[1:-1]) == pytest.approx(interval, abs=1e-6), (ratio, interval)
+
+
+def test_twice_as_many_readings_as_there_are_are_not_taken() -> None:
+    """At 1 kHz, readings of 400 Hz are on the lines between those of 800 Hz as well."""
+    t, value = _read(0.0025)
+    told = np.arange(0.001, 14.5, 0.001)
+    found_t, _ = readings(told, np.interp(told, t, value))
+    assert np.diff(found_t[1:-1]) == pytest.approx(0.0025, abs=1e-8)
+
+
+def test_no_readings_come_back_where_samples_are_lost() -> None:
+    t, value = _read(0.008)
+    told = np.arange(0.003, 14.5, 0.005)
+    told = told[(told < 6.0) | (told > 6.2)]
+    found_t, found = readings(told, np.interp(told, t, value))
+    assert found_t.size < 0.7 * told.size
+    assert np.count_nonzero((found_t > 6.01) & (found_t < 6.19)) == 0
+    places = np.rint(found_t[1:-1] / 0.008).astype(int)
+    assert found[1:-1] == pytest.approx(value[places], abs=1e-4 * NOISE)
+
+
 def test_no_reading_is_next_to_the_first_or_the_last_sample() -> None:
     """Stamps that begin with a reading, of which every 32nd falls on one."""
     t, value = _read(0.016)
@@ -78,6 +121,8 @@ def test_readings_that_lie_on_a_line_are_not_left_out() -> None:
         'noise',
         'exact',
         'curved',
+        'filtered',
+        'rounded after',
         'uneven',
         'to and fro',
         'quickly to and fro',
@@ -87,7 +132,6 @@ def test_readings_that_lie_on_a_line_are_not_left_out() -> None:
         'swings for a while',
         'one is far away',
         'stamped years later',
-        'every second or third',
         'noisy for a while',
         'very seldom',
     ],
@@ -99,6 +143,12 @@ def test_other_samples_stay_as_they_are(what: str) -> None:
         value += NOISE * np.random.default_rng(1).standard_normal(told.size)
     elif what == 'curved':
         value += 1e-4 * np.sin(told)
+    elif what == 'filtered':
+        random = np.random.default_rng(1).standard_normal(told.size)
+        value += NOISE * np.convolve(random, np.exp(-np.arange(20.0) / 3.0), 'same')
+    elif what == 'rounded after':
+        # To a tenth of the noise.
+        value = np.round(np.interp(told, *_read(0.004)) / (0.1 * NOISE)) * (0.1 * NOISE)
     elif what == 'uneven':
         at = np.cumsum(np.random.default_rng(1).uniform(0.015, 0.03, 800))
         value = np.interp(told, at, NOISE * np.random.default_rng(2).standard_normal(at.size))
@@ -115,8 +165,6 @@ def test_other_samples_stay_as_they_are(what: str) -> None:
             value[2000] += 1e-4
         else:
             told[-1] = 1.7e9
-    elif what == 'every second or third':
-        value = np.interp(told, *_read(0.0025 * 2.9))
     elif what == 'noisy for a while':
         value = np.interp(told, *_read(0.016))
         random = np.random.default_rng(1)
