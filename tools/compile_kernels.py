@@ -38,6 +38,7 @@ from hapticvision_ros.core.body.simulation import simulate
 from hapticvision_ros.core.composition import Model
 from hapticvision_ros.core.diagnosis.bootstrap import sensor_noise
 from hapticvision_ros.core.fit.campaign import fit
+from hapticvision_ros.core.fit.interpolated import readings
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.fit.way import smooth
 from hapticvision_ros.core.haptic import HapticStepper
@@ -61,9 +62,11 @@ def fits() -> None:
     for bag in BAGS:
         fit([analyse(read_trial(Path(bag)))], Model(EFFECTS))
     HapticStepper(Model(), {'K1': 1.0, 'C1': 1.0, 'C2': 1.0})
-    # No arm of these bags goes along a curve, and none ripples.
+    # No arm of these bags goes along a curve, none ripples, and no driver draws lines.
     t = np.arange(0.0, 4.0, 0.005)
     smooth(t, 1e-2 * t + 2e-5 * np.sin(50.0 * t), 1e-6)
+    read = np.arange(0.0, 4.0, 0.008)
+    readings(t, np.interp(t, read, np.sin(100.0 * read)))
 
 
 def worlds() -> None:

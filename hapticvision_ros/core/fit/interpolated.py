@@ -270,23 +270,23 @@ def _missed(
 ) -> FloatArray:
     """Return the squares that readings miss, by how their interval is stretched, and by phase."""
     least = interval * (1.0 + float(stretches.min()))
-    scratch = np.empty((3, int((t[-1] - t[0]) / least) + 4))
+    room = np.empty((3, int((t[-1] - t[0]) / least) + 4))
     left = np.empty((stretches.size, phases.size))
-    _try(t, value, middle, interval, phases, stretches, left, scratch)
+    _try(t, value, middle, interval, phases, stretches, left, room)
     return left
 
 
 @kernel()
-def _try(t, value, middle, interval, phases, stretches, left, scratch):  # type: ignore[no-untyped-def]
+def _try(t, value, middle, interval, phases, spans, left, room):  # type: ignore[no-untyped-def]
     """Fill in the squares that are missed at each interval and phase."""
-    for which in range(stretches.size):
-        apart = interval * (1.0 + stretches[which])
+    for which in range(spans.size):
+        apart = interval * (1.0 + spans[which])
         for at in range(phases.size):
             one = middle + phases[at] * apart
             first = one - math.ceil((one - t[0]) / apart) * apart
             count = int((t[-1] - first) / apart) + 2
             left[which, at] = _fit(
-                t, value, first, apart, scratch[0, :count], scratch[1, :count], scratch[2, :count]
+                t, value, first, apart, room[0, :count], room[1, :count], room[2, :count]
             )
 
 
