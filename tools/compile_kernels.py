@@ -66,7 +66,7 @@ def fits() -> None:
     t = np.arange(0.0, 4.0, 0.005)
     smooth(t, 1e-2 * t + 2e-5 * np.sin(50.0 * t), 1e-6)
     read = np.arange(0.0, 4.0, 0.008)
-    readings(t, np.interp(t, read, np.sin(100.0 * read)))
+    readings(t, np.interp(t, read, np.random.default_rng(0).standard_normal(read.size)))
 
 
 def worlds() -> None:

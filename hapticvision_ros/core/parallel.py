@@ -64,7 +64,8 @@ def each[T, R](
     Parameters
     ----------
     function : callable
-        What it changes outside of what it returns is lost.
+        What it changes outside of what it returns is lost. Where it fails in another process, or
+        what it returns cannot be sent, it is called again in this one.
     items : sequence
         Its arguments, one call each.
     workers : int
@@ -120,7 +121,8 @@ def _forked[T, R](
                 at[link] = place
 
     try:
-        with _undisturbed():
+        # Where the machine has no room for more, those that there are do it.
+        with _undisturbed(), suppress(OSError):
             for _ in range(workers):
                 _start(team, function, items, known)
         for link in team:
@@ -128,7 +130,7 @@ def _forked[T, R](
         for place, item in enumerate(items):
             while place in at.values():
                 ready = wait(list(at))
-                for link in [each for each in at if each in ready]:
+                for link in [link for link in at if link in ready]:
                     done = at.pop(link)
                     # It may have been ended from outside, as where memory is short.
                     with suppress(EOFError, OSError):
@@ -142,11 +144,10 @@ def _forked[T, R](
     finally:
         for link, worker in team.items():
             # Where some are at work still, as after an interrupt, nobody waits for that.
-            worker.terminate()
+            worker.kill()
             link.close()
         for worker in team.values():
             worker.join()
-            worker.close()
 
 
 def _start(

@@ -156,6 +156,41 @@ print(list(each(abs, range(4), 2)))
     assert ran.stdout == '[0, 1, 2, 3]\n'
 
 
+def test_where_there_is_no_room_for_workers_the_caller_does_it() -> None:
+    ran = alone(
+        """
+from multiprocessing.context import ForkProcess
+
+started = []
+start = ForkProcess.start
+
+def fails(process):
+    if started:
+        raise BlockingIOError('no more processes')
+    started.append(start(process))
+
+ForkProcess.start = fails
+print(list(each(abs, range(4), 3)))
+started.append(None)
+print(list(each(abs, range(4), 3)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == '[0, 1, 2, 3]\n' * 2
+
+
+def test_where_ended_children_are_not_waited_for() -> None:
+    """Some shells hand that on."""
+    ran = alone(
+        """
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+print(list(each(abs, range(4), 2)))
+"""
+    )
+    assert ran.stderr == ''
+    assert ran.stdout == '[0, 1, 2, 3]\n'
+
+
 def test_who_is_ended_amid_a_result_is_done_without() -> None:
     """A pipe that others write to as well has no end then, and is waited at for ever."""
     ran = alone(
@@ -168,7 +203,7 @@ def one(index):
         if index == 1:
             # Nobody reads the result once another has begun with the third.
             os.read(reading, 1)
-            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
             return bytes(10_000_000)
         if index == 2:
             os.write(writing, b'.')
@@ -178,10 +213,9 @@ def one(index):
 results = each(one, range(4), 2)
 found = [next(results)]
 # One waits for a reader until its time is over, and the other for ever.
-first, last = multiprocessing.active_children()
-while first.is_alive() and last.is_alive():
+while len(left := multiprocessing.active_children()) > 1:
     time.sleep(0.01)
-(last if last.is_alive() else first).kill()
+left[0].kill()
 print([*found, *results])
 """
     )
@@ -332,7 +366,7 @@ print('as one')
 
 
 def test_an_interrupt_waits_until_the_processes_are_there() -> None:
-    """A pool that is interrupted as it starts them loses it, fails, or waits for ever."""
+    """Of one that is interrupted as it starts, nobody knows."""
     done = alone("""
 import multiprocessing
 from multiprocessing.context import ForkProcess

@@ -43,28 +43,31 @@ is told than read, and nothing shows how."""
 _OUTSIDE: Final = 3.0
 """Medians beyond which what samples turn by is no noise."""
 _UNLIKE: Final = -0.5
-"""How alike two turns in a row are at least where some samples lie on lines between others: with
-1.2 a reading by -0.40 to -0.29."""
+_SMOOTH: Final = 0.7
+"""How alike two turns in a row are at least, and at most, where some samples lie on lines between
+others: from -0.40 with 1.2 a reading to 0.40 with 2.9; of a smooth way nearly 1."""
 _WINDOW: Final = 128
 """Samples at which their interval and phase are looked for first."""
-_PHASES: Final = 24
+_PHASES: Final = 12
 _PARTS: Final = 7
 _CHANCES: Final = 8
-_ZOOM: Final = 0.7
-_QUICK: Final = 0.5
+_ZOOM: Final = 0.5
 _SURE: Final = 1e-8
 """Phases that are looked at, parts of what is looked at more closely, how many intervals have that
-chance, how much more closely, also where they are nearly known, and until when."""
+chance, how much more closely, and until when."""
 _AGAIN: Final = 1e-3
 """Part of an interval by which those of the window may be off at the ends of all samples."""
 _MOST_TIMES: Final = 4
 """How many times as many readings as there are may be found at first."""
 _NOTHING: Final = 1e-13
 """Squares of a sample's share that are always known of a reading: nothing is divided by zero."""
+_MOST_UNSURE: Final = 1e3
+"""Variance of a reading over that of a sample, beyond which samples are lost that tell of it."""
 _UNTOLD: Final = 1e-3
-"""Part of what a reading turns by that may be missed: of a smooth way it is a sixteenth."""
+"""Part of what samples turn by that may be missed, by the root of the mean square."""
 _REGULAR: Final = 0.02
-"""Part of their interval by which the times between the lines' ends may be no multiples of it."""
+"""Part of their interval by which the times between the lines' ends may be no multiples of it, and
+of what samples turn by that each may be missed."""
 _USUAL: Final = 0.9
 """Part of them that are."""
 _ALIKE: Final = 0.8
@@ -89,8 +92,9 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     -------
     t, value : ndarray, shape (k,)
         Where the lines meet that the samples lie on, which is at regular times; what lies on a
-        line at such a time without a turn; and the first and the last sample. The samples
-        themselves where that does not tell all of them.
+        line at such a time without a turn; the first and the last sample; and samples beside
+        lost ones. The samples themselves where that does not tell all of them, up to an interval
+        from the first and the last.
 
     """
     if t.size < _FEWEST or not np.all(np.diff(t) > 0.0):
@@ -172,37 +176,57 @@ def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]
     if t.size < _WINDOW or t[-1] - t[0] > _DENSEST * usual * t.size:
         return None
     bent = np.diff(value, 2)
-    turns = np.abs(bent)
-    # Of noise that is new in each sample two in a row are unlike, by two thirds; most records end
+    # Of noise that is new in each sample two in a row are unlike, by two thirds: most records end
     # here.
-    most = _OUTSIDE * float(np.median(turns))
-    usual_bent = np.clip(bent, -most, most)
-    if usual_bent[1:] @ usual_bent[:-1] < _UNLIKE * (usual_bent @ usual_bent):
+    if _in_a_row(bent) < _UNLIKE:
         return None
     # Where the tool changes its speed, that is most of what readings at wrong times miss.
-    windows = sliding_window_view(turns, _WINDOW - 2)[:: _WINDOW // 2]
-    usual_turn = np.median(windows, axis=1)
+    apart = _WINDOW // 2
+    bends = sliding_window_view(bent, _WINDOW - 2)[::apart]
+    turns = np.abs(bends)
+    usual_turn = np.median(turns, axis=1)
     told = usual_turn > _STRAIGHT * float(np.ptp(value))
+    times = sliding_window_view(t, _WINDOW)[::apart]
     if not told.any():
         return None
-    beyond = windows.max(axis=1) / np.where(told, usual_turn, 1.0)
+    beyond = turns.max(axis=1) / usual_turn.clip(float(usual_turn[told].min()))
     calmest = int(np.argmin(np.where(told, beyond, math.inf)))
-    first = calmest * (_WINDOW // 2)
+    # Readings follow a smooth way as well, where six samples tell of five.
+    if _in_a_row(bends[calmest]) > _SMOOTH:
+        return None
     enough = _UNTOLD * float(usual_turn[calmest])
-    near = slice(first, first + _WINDOW)
-    at = t[near], value[near] - value[near].mean()
+    near = sliding_window_view(value, _WINDOW)[::apart][calmest]
+    found = _interval(times[calmest], near - near.mean(), usual, enough)
+    if found is None:
+        return None
+    middle, interval = found
+    middle += round((0.5 * float(t[0] + t[-1]) - middle) / interval) * interval
+    mean = float(value.mean())
+    off = _AGAIN * interval / float(t[-1] - t[0])
+    middle, interval, _ = _closer(t, value - mean, middle, interval, (_AGAIN, off))
+    whole, levels = _with_lone(t, value, middle, interval)
+    if not _FEWEST <= whole.size < t.size:
+        return None
+    within = slice(*np.searchsorted(t, whole[[1, -2]]))
+    missed = np.abs(np.interp(t[within], whole, levels) - value[within])
+    return (whole, levels) if missed.max() <= _REGULAR * usual_turn[calmest] else None
+
+
+def _interval(
+    t: FloatArray, value: FloatArray, usual: float, enough: float
+) -> tuple[float, float] | None:
+    """Return a moment and an interval of readings that miss little of some samples."""
     step = 0.5 / _WINDOW
     ratios = np.exp(np.arange(math.log(_DENSEST), math.log(_SPARSE) + step, step))
     phases = np.arange(_PHASES) / _PHASES
-    middle = 0.5 * float(at[0][0] + at[0][-1])
-    left = _missed(*at, middle, usual, phases, ratios - 1.0)
+    centre = 0.5 * float(t[0] + t[-1])
+    left = _missed(t, value, centre, usual, phases, ratios - 1.0)
     # Of many readings fewer samples are left to be missed.
     left /= 1.0 - 1.0 / ratios[:, np.newaxis]
-    centre = middle
     for which in np.argsort(left.min(axis=1))[:_CHANCES]:
         interval = usual * float(ratios[which])
         middle = centre + float(phases[np.argmin(left[which])]) * interval
-        middle, interval, miss = _closer(*at, middle, interval, (1.0 / _PHASES, step), _ZOOM)
+        middle, interval, miss = _closer(t, value, middle, interval, (1.0 / _PHASES, step))
         if miss <= enough:
             break
     else:
@@ -211,27 +235,59 @@ def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]
     for times in range(_MOST_TIMES, 1, -1):
         apart = interval * times
         phases = np.arange(times) / times
-        left = _missed(*at, middle, apart, phases, np.zeros(1))[0]
-        if math.sqrt(float(left.min()) / _WINDOW) <= enough:
-            middle += float(phases[np.argmin(left)]) * apart
-            interval = apart
-            break
-    middle += round((0.5 * float(t[0] + t[-1]) - middle) / interval) * interval
-    mean = float(value.mean())
-    off = _AGAIN * interval / float(t[-1] - t[0])
-    middle, interval, miss = _closer(t, value - mean, middle, interval, (_AGAIN, off), _QUICK)
-    if miss > enough:
-        return None
+        fewer = _missed(t, value, middle, apart, phases, np.zeros(1))[0]
+        if math.sqrt(float(fewer.min()) / t.size) <= enough:
+            return middle + float(phases[np.argmin(fewer)]) * apart, apart
+    return middle, interval
+
+
+def _with_lone(
+    t: FloatArray, value: FloatArray, middle: float, interval: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return readings that samples tell of, and the samples beside others."""
     start = middle - math.ceil((middle - t[0]) / interval) * interval
     level, known, beside = np.empty((3, int((t[-1] - start) / interval) + 2))
+    mean = float(value.mean())
     _fit(t, value - mean, start, interval, level, known, beside)
-    times_read = start + interval * np.arange(level.size)
-    inner = (times_read > t[0] + 0.5 * interval) & (times_read < t[-1] - 0.5 * interval)
-    inner &= known > 2.0 * _NOTHING
-    return (
-        np.concatenate((t[:1], times_read[inner], t[-1:])),
-        np.concatenate((value[:1], level[inner] + mean, value[-1:])),
-    )
+    read = start + interval * np.arange(level.size)
+    own = (read > t[0] + 0.5 * interval) & (read < t[-1] - 0.5 * interval)
+    own &= _unsure(t, start, interval, level.size) < _MOST_UNSURE
+    place = (t - start) / interval
+    near, close = np.minimum(place.astype(np.intp), level.size - 2), np.rint(place).astype(np.intp)
+    lone = ~(own[near] & own[near + 1])
+    lone &= ~own[close] | (np.abs(place - close) > _REGULAR)
+    inner = read[own]
+    lone &= (t > inner.min(initial=math.inf)) & (t < inner.max(initial=-math.inf))
+    lone[[0, -1]] = True
+    whole = np.concatenate((inner, t[lone]))
+    levels = np.concatenate((level[own] + mean, value[lone]))
+    order = np.argsort(whole)
+    return whole[order], levels[order]
+
+
+def _in_a_row(bent: FloatArray) -> float:
+    """Return how alike two turns in a row are, without those that are no noise."""
+    most = _OUTSIDE * float(np.median(np.abs(bent)))
+    usual = np.clip(bent, -most, most)
+    square = float(usual @ usual)
+    return float(usual[1:] @ usual[:-1]) / square if square else 0.0
+
+
+def _unsure(t: FloatArray, start: float, interval: float, count: int) -> FloatArray:
+    """Return the variances of readings over those of the samples that tell of them."""
+    place = (t - start) / interval
+    near = np.minimum(place.astype(np.intp), count - 2)
+    part = place - near
+    own = np.bincount(near, (1.0 - part) ** 2, count) + np.bincount(near + 1, part**2, count)
+    own += _NOTHING
+    beside = np.bincount(near, part * (1.0 - part), count)
+    # What is known of each together with those before it, and with those after it.
+    before, after = own.tolist(), own.tolist()
+    shared = (beside**2).tolist()
+    for k in range(1, count):
+        before[k] = max(before[k] - shared[k - 1] / before[k - 1], _NOTHING)
+        after[-1 - k] = max(after[-1 - k] - shared[-1 - k] / after[-k], _NOTHING)
+    return np.asarray(1.0 / np.maximum(np.add(before, after) - own, _NOTHING))
 
 
 def _closer(
@@ -240,7 +296,6 @@ def _closer(
     middle: float,
     interval: float,
     off: tuple[float, float],
-    zoom: float,
 ) -> tuple[float, float, float]:
     """
     Return a moment and an interval of readings near those that are known, and what they miss.
@@ -256,8 +311,8 @@ def _closer(
         middle += phase * float(parts[at]) * interval
         if phase < _SURE:
             return middle, interval, math.sqrt(float(left[best, at]) / t.size)
-        phase *= zoom
-        stretch *= zoom
+        phase *= _ZOOM
+        stretch *= _ZOOM
 
 
 def _missed(
@@ -292,11 +347,7 @@ def _try(t, value, middle, interval, phases, spans, left, room):  # type: ignore
 
 @kernel()
 def _fit(t, value, first, interval, level, known, beside):  # type: ignore[no-untyped-def]
-    """
-    Fit readings to samples on the lines between them, and return the squares that are missed.
-
-    Of readings that no sample tells of, `known` remains what it begins with.
-    """
+    """Fit readings to samples on lines between them, and return the squares that are missed."""
     level[:] = 0.0
     known[:] = _NOTHING
     beside[:] = 0.0
@@ -311,7 +362,7 @@ def _fit(t, value, first, interval, level, known, beside):  # type: ignore[no-un
         level[near + 1] += part * value[k]
     for near in range(level.size - 1):
         share = beside[near] / known[near]
-        known[near + 1] -= share * beside[near]
+        known[near + 1] = max(known[near + 1] - share * beside[near], _NOTHING)
         level[near + 1] -= share * level[near]
     level[-1] /= known[-1]
     for near in range(level.size - 2, -1, -1):
