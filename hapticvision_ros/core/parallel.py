@@ -47,6 +47,8 @@ _TASKS: Final = Path('/proc/self/task')
 """Where Linux lists the threads of this process, those of libraries too."""
 _MOST_THREADS: Final = 2
 """More hardly help."""
+_crowded: list[OSError] = []
+"""Why no process could be started, as where memory is short: each trial leaves files open."""
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM)
 _END_WITH_PARENT: Final = 1
 """PR_SET_PDEATHSIG of linux/prctl.h."""
@@ -65,7 +67,7 @@ def each[T, R](
     ----------
     function : callable
         What it changes outside of what it returns is lost. Where it fails in another process, or
-        what it returns cannot be sent, it is called again in this one.
+        what it returns cannot be pickled, it is called again in this one.
     items : sequence
         Its arguments, one call each.
     workers : int
@@ -79,7 +81,7 @@ def each[T, R](
         The results, in the order of the items.
 
     """
-    if workers < 2 or len(items) < 2:
+    if workers < 2 or len(items) < 2 or _crowded:
         yield from map(function, items)
     elif _can_fork():
         yield from _forked(function, items, min(workers, len(items)), known)
@@ -89,8 +91,10 @@ def each[T, R](
 
 
 def _can_fork() -> bool:
-    """Return whether this process has but one thread, and is no worker itself."""
+    """Return whether this process has but one thread, sees others end, and is no worker itself."""
     if multiprocessing.current_process().daemon or threading.active_count() > 1:
+        return False
+    if signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN:
         return False
     return 'fork' in multiprocessing.get_all_start_methods() and _threads() == 1
 
@@ -121,10 +125,13 @@ def _forked[T, R](
                 at[link] = place
 
     try:
-        # Where the machine has no room for more, those that there are do it.
-        with _undisturbed(), suppress(OSError):
-            for _ in range(workers):
-                _start(team, function, items, known)
+        with _undisturbed():
+            try:
+                for _ in range(workers):
+                    _start(team, function, items, known)
+            except OSError as error:
+                # Those that there are do it, or the caller.
+                _crowded.append(error)
         for link in team:
             go_on(link)
         for place, item in enumerate(items):
@@ -172,8 +179,10 @@ def _start(
 @contextmanager
 def _undisturbed() -> Iterator[None]:
     """Let signals wait: of processes that are interrupted as they start, nobody may know."""
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     try:
+        # What has come before that is raised here.
+        signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)

@@ -43,9 +43,10 @@ is told than read, and nothing shows how."""
 _OUTSIDE: Final = 3.0
 """Medians beyond which what samples turn by is no noise."""
 _UNLIKE: Final = -0.5
-_SMOOTH: Final = 0.7
-"""How alike two turns in a row are at least, and at most, where some samples lie on lines between
-others: from -0.40 with 1.2 a reading to 0.40 with 2.9; of a smooth way nearly 1."""
+"""How alike two turns in a row are at least where some samples lie on lines between others: -0.40
+with 1.2 a reading."""
+_UNUSUAL: Final = 0.3
+"""By how much they may be more, or less, alike than those of readings with new noise in each."""
 _WINDOW: Final = 128
 """Samples at which their interval and phase are looked for first."""
 _PHASES: Final = 12
@@ -59,6 +60,8 @@ _AGAIN: Final = 1e-3
 """Part of an interval by which those of the window may be off at the ends of all samples."""
 _MOST_TIMES: Final = 4
 """How many times as many readings as there are may be found at first."""
+_END: Final = 1.5
+"""Intervals from the first and the last sample by which there is a reading, if one is known."""
 _NOTHING: Final = 1e-13
 """Squares of a sample's share that are always known of a reading: nothing is divided by zero."""
 _MOST_UNSURE: Final = 1e3
@@ -67,7 +70,8 @@ _UNTOLD: Final = 1e-3
 """Part of what samples turn by that may be missed, by the root of the mean square."""
 _REGULAR: Final = 0.02
 """Part of their interval by which the times between the lines' ends may be no multiples of it, and
-of what samples turn by that each may be missed."""
+within which a sample tells the same as a reading; of the usual turn, by which others are as large,
+and by which each sample may be missed."""
 _USUAL: Final = 0.9
 """Part of them that are."""
 _ALIKE: Final = 0.8
@@ -94,7 +98,7 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
         Where the lines meet that the samples lie on, which is at regular times; what lies on a
         line at such a time without a turn; the first and the last sample; and samples beside
         lost ones. The samples themselves where that does not tell all of them, up to an interval
-        from the first and the last.
+        and a half from the first and the last.
 
     """
     if t.size < _FEWEST or not np.all(np.diff(t) > 0.0):
@@ -172,8 +176,8 @@ def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]
     phase the readings, of which there are fewer than samples, miss none of these.
     """
     usual = float(np.median(np.diff(t)))
-    # Nothing is read more often than it is told.
-    if t.size < _WINDOW or t[-1] - t[0] > _DENSEST * usual * t.size:
+    # After a stamp of another day there is no room for all readings until then.
+    if t.size < _WINDOW or t[-1] - t[0] > _SPARSE * usual * t.size:
         return None
     bent = np.diff(value, 2)
     # Of noise that is new in each sample two in a row are unlike, by two thirds: most records end
@@ -191,15 +195,15 @@ def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]
         return None
     beyond = turns.max(axis=1) / usual_turn.clip(float(usual_turn[told].min()))
     calmest = int(np.argmin(np.where(told, beyond, math.inf)))
-    # Readings follow a smooth way as well, where six samples tell of five.
-    if _in_a_row(bends[calmest]) > _SMOOTH:
-        return None
     enough = _UNTOLD * float(usual_turn[calmest])
     near = sliding_window_view(value, _WINDOW)[::apart][calmest]
     found = _interval(times[calmest], near - near.mean(), usual, enough)
     if found is None:
         return None
     middle, interval = found
+    # Readings follow a smooth way, and a vibration, as well where six samples tell of five.
+    if abs(_in_a_row(bends[calmest]) - _expected(interval / usual)) > _UNUSUAL:
+        return None
     middle += round((0.5 * float(t[0] + t[-1]) - middle) / interval) * interval
     mean = float(value.mean())
     off = _AGAIN * interval / float(t[-1] - t[0])
@@ -207,7 +211,7 @@ def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]
     whole, levels = _with_lone(t, value, middle, interval)
     if not _FEWEST <= whole.size < t.size:
         return None
-    within = slice(*np.searchsorted(t, whole[[1, -2]]))
+    within = (t > t[0] + _END * interval) & (t < t[-1] - _END * interval)
     missed = np.abs(np.interp(t[within], whole, levels) - value[within])
     return (whole, levels) if missed.max() <= _REGULAR * usual_turn[calmest] else None
 
@@ -256,10 +260,9 @@ def _with_lone(
     near, close = np.minimum(place.astype(np.intp), level.size - 2), np.rint(place).astype(np.intp)
     lone = ~(own[near] & own[near + 1])
     lone &= ~own[close] | (np.abs(place - close) > _REGULAR)
-    inner = read[own]
-    lone &= (t > inner.min(initial=math.inf)) & (t < inner.max(initial=-math.inf))
+    lone &= (t > t[0] + _END * interval) & (t < t[-1] - _END * interval)
     lone[[0, -1]] = True
-    whole = np.concatenate((inner, t[lone]))
+    whole = np.concatenate((read[own], t[lone]))
     levels = np.concatenate((level[own] + mean, value[lone]))
     order = np.argsort(whole)
     return whole[order], levels[order]
@@ -271,6 +274,17 @@ def _in_a_row(bent: FloatArray) -> float:
     usual = np.clip(bent, -most, most)
     square = float(usual @ usual)
     return float(usual[1:] @ usual[:-1]) / square if square else 0.0
+
+
+def _expected(ratio: float) -> float:
+    """Return how alike two turns in a row are with so many samples a reading, at any phase."""
+    # What samples see of a reading, by when they are: each turn is of three in a row.
+    at = np.linspace(-4.0, 4.0, 801)
+    before, one, two, after = (
+        np.clip(1.0 - np.abs(at + later / ratio), 0.0, None) for later in range(4)
+    )
+    turn, following = before - 2.0 * one + two, one - 2.0 * two + after
+    return float(turn @ following / (turn @ turn))
 
 
 def _unsure(t: FloatArray, start: float, interval: float, count: int) -> FloatArray:

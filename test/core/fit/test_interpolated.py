@@ -15,6 +15,7 @@
 
 """Encoders between whose readings a driver draws straight lines."""
 
+from collections.abc import Sequence
 import math
 
 from hapticvision_ros.core.fit.data import tool_path
@@ -110,8 +111,38 @@ def test_readings_that_lost_samples_told_do_not_come_back(ratio: float, phase: f
         assert found_t.size < left.size
         assert np.all(np.diff(found_t) > 1e-4)
         assert found == pytest.approx(np.interp(found_t, t, value), abs=1e-9)
-        inner = (left > found_t[1]) & (left < found_t[-2])
+        inner = (left > left[0] + 0.0151) & (left < left[-1] - 0.0151)
         assert np.interp(left[inner], found_t, found) == pytest.approx(samples[inner], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'left'),
+    [(1.5, [0, *range(2, 240, 2)]), (2.0, range(0, 200, 3)), (2.5, range(0, 200, 4))],
+)
+@pytest.mark.parametrize('end', [1, -1])
+def test_samples_stay_where_those_that_are_lost_told_more(
+    ratio: float, left: Sequence[int], end: int
+) -> None:
+    """With most of them lost at an end, none of the readings there is known."""
+    t = np.arange(1300) * 0.01
+    value = 1e-2 * np.sin(2.0 * t) + 1e-5 * np.random.default_rng(7).standard_normal(t.size)
+    kept = np.concatenate((left, np.arange(240, 1000)))
+    told = (np.sort(999 - kept if end < 0 else kept) / ratio + 0.3) * 0.01
+    samples = np.interp(told, t, value)
+    found_t, found = readings(told, samples)
+    assert found_t.size < told.size
+    inner = (told > told[0] + 0.0151) & (told < told[-1] - 0.0151)
+    assert np.interp(told[inner], found_t, found) == pytest.approx(samples[inner], abs=1e-9)
+
+
+def test_a_vibration_is_not_taken_for_lines() -> None:
+    """Of six samples a period: at 1.2 a reading five readings miss little of it."""
+    t = np.arange(0.0, 14.5, 1.0 / 300.0)
+    noise = 1e-8 * np.random.default_rng(1).standard_normal(t.size)
+    found_t, _ = readings(
+        t, np.interp(t, TURNS, PLACES) + 1e-5 * np.sin(100.0 * math.pi * t) + noise
+    )
+    assert found_t is t
 
 
 def test_no_more_readings_come_back_than_there_are_samples() -> None:
