@@ -20,6 +20,7 @@ What it tells in between is no reading of its own: followed as it stands, the to
 speed at every reading by what the noise of two of them makes over the time between.
 """
 
+from functools import lru_cache
 import math
 from typing import Final
 
@@ -105,8 +106,8 @@ def readings(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
         return t, value
     found = _where_lines_meet(t, value)
     if found is None:
-        found = _that_fit(t, value)
-    return (t, value) if found is None else found
+        found = _that_fit(t.tobytes(), value.tobytes())
+    return (t, value) if found is None else (found[0].copy(), found[1].copy())
 
 
 def _where_lines_meet(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -168,13 +169,16 @@ def _where_lines_meet(t: FloatArray, value: FloatArray) -> tuple[FloatArray, Flo
     return whole, np.interp(whole, knots, levels)
 
 
-def _that_fit(t: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+@lru_cache(maxsize=64)
+def _that_fit(stamps: bytes, samples: bytes) -> tuple[FloatArray, FloatArray] | None:
     """
     Return readings at regular times, fewer than the samples, that tell all of these.
 
     Where lines have two samples or one, their ends are not seen. But at the right interval and
     phase the readings, of which there are fewer than samples, miss none of these.
     """
+    # A campaign's paths are made several times, for arms that change their speed otherwise.
+    t, value = np.frombuffer(stamps).copy(), np.frombuffer(samples).copy()
     usual = float(np.median(np.diff(t)))
     # After a stamp of another day there is no room for all readings until then.
     if t.size < _WINDOW or t[-1] - t[0] > _SPARSE * usual * t.size:

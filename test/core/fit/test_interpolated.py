@@ -87,6 +87,20 @@ def test_where_the_tool_changes_its_speed_readings_are_not_looked_for_first() ->
         assert np.diff(found_t[1:-1]) == pytest.approx(0.01, abs=1e-6), ratio
 
 
+def test_readings_that_are_asked_for_again_are_not_those_that_were_changed() -> None:
+    """A record's are kept: its path is made several times."""
+    t, value = _read(0.008)
+    told = np.arange(0.003, 14.5, 0.005)
+    samples = np.interp(told, t, value)
+    found_t, found = readings(told, samples)
+    once = found_t.copy(), found.copy()
+    found_t += 1.0
+    found += 1.0
+    again = readings(told, samples)
+    assert np.array_equal(again[0], once[0])
+    assert np.array_equal(again[1], once[1])
+
+
 def test_twice_as_many_readings_as_there_are_are_not_taken() -> None:
     """At 1 kHz, readings of 400 Hz are on the lines between those of 800 Hz as well."""
     t, value = _read(0.0025)
