@@ -318,8 +318,8 @@ def chi2(misfits: Misfits | None) -> dict[str, float | None]:
 
 
 PLAN = (
-    '--world random --none 400 --first 66100',
-    '--world random --scatter 0.02 --none 400 --first 48000',
+    '--world random --none 400 --first 66600',
+    '--world random --scatter 0.02 --none 400 --first 48100',
     '--world grid --seeds 2 --first 464 --r 0.3 1 0.1 0.07 0.05',
     '--world grid --scatter 0.02 --seeds 2 --first 776 --r 0.3 1',
     '--world grid --pairs 20 --seeds 2 --first 674 --r 0.3',
@@ -327,7 +327,7 @@ PLAN = (
     '--world grid --clouds --seeds 1 --first 906 --r 1',
     '--world grid --laws --seeds 1 --first 981 --r 0.3 1 3',
     '--world random --slow --none 60 --first 65200',
-    '--world random --curved --none 60 --first 90200',
+    '--world random --curved --none 60 --first 90300',
 )
 """What the page is made of."""
 

@@ -34,6 +34,7 @@ from hapticvision_ros.core.fit.paper import fit_paper, PaperResult
 from hapticvision_ros.core.records import Estimate, Segmentation, Trial
 from hapticvision_ros.core.segmentation import segment
 import numpy as np
+from scipy.special import fdtri
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
@@ -69,6 +70,8 @@ _NO_RISE: Final = 1.01
 _MISSED: Final = 1.5
 _UNSEEN: Final = 2.0
 """Misfit over the noise, and mean squares of unseen samples over fitted ones, that are told."""
+_UNLIKELY: Final = 1e-3
+"""Chance of a larger ratio of these squares in trials that scatter, that is told."""
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -413,6 +416,11 @@ def _compared(
                 f'a contradiction: {names} explains the fitted trials, yet on unseen ones the '
                 f'squares grow by a factor of {change.ratio:.3g}'
             )
+    if change is not None and not change.std:
+        told.append(
+            'how far the change of the squares on unseen trials may be by chance is unknown: '
+            'it takes two trials or more'
+        )
     for symbol, estimate in (('force', noise.force), ('height', noise.height)):
         if estimate.reason is not None:
             told.append(f'the noise of the {symbol} is unknown: {estimate.reason}')
@@ -430,7 +438,7 @@ def _compared(
     ]
     if diagnosis is not None:
         told += _passed_for_noise(models[-1], diagnosis)
-        told += _worse_unseen(models[-1], held_out)
+    told += _worse_unseen(models[-1], held_out)
     return CampaignAnalysis(
         trials=tuple(trials),
         held_out=tuple(held_out),
@@ -468,15 +476,20 @@ def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]
 
 def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> list[str]:
     """Return which channels the model misses by far more where it has not seen the trials."""
-    if model.train is None or model.held_out is None:
+    if model.train is None or model.held_out is None or model.fit is None:
         return []
+    beyond, scatter = _UNSEEN, model.fit.problem.scatter.size
+    if scatter and len(model.trials) > 1:
+        # Shared parameters miss trials that scatter, by chance some more than others.
+        degrees = scatter * (len(model.trials) - 1)
+        beyond = max(beyond, float(fdtri(scatter, degrees, 1.0 - _UNLIKELY)))
     told = []
     for channel, name in _NAMES.items():
         seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
         if seen is None or left_out is None or seen.chi2 is None or left_out.chi2 is None:
             continue
         fitted, unseen = seen.chi2, left_out.chi2
-        if unseen < _UNSEEN * max(fitted, 1.0):
+        if unseen < beyond * max(fitted, 1.0):
             continue
         where = (
             f'the trials held out ({", ".join(one.trial.name for one in held_out)})'

@@ -100,7 +100,8 @@ def result_document(
         else {
             'ratio': _number(change.ratio),
             'change': _number(change.change),
-            'std': _number(change.std),
+            # Of a single trial nothing tells it.
+            'std': _number(change.std) if change.std else None,
         },
         'warnings': list(campaign.warnings),
     }

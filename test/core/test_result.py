@@ -176,6 +176,8 @@ def test_the_document_has_the_keys_of_the_schema_and_finite_numbers(
     assert bags == (['b'] if named else ['a', 'b'])
     assert document['held_out_by'] == ('name' if named else 'condition')
     assert set(document['held_out_change']) == {'ratio', 'change', 'std'}
+    # A single trial does not tell it.
+    assert (document['held_out_change']['std'] is None) == named
     found = document['diagnosis']
     assert set(found) == DIAGNOSIS_KEYS
     assert all(

@@ -253,6 +253,11 @@ def diagnose(
                 )
                 if _is_as_good(again, outcome):
                     return again
+    if outcome.scatter is not None:
+        # Errors without what differs from trial to trial would be those of one trial.
+        before = fit_prepared(
+            prepared, Model(), near=before, scatter=outcome.scatter, warnings=known
+        )
     after = before
     if outcome.effects:
         tell('fitting the model with ' + ', '.join(outcome.effects))

@@ -794,9 +794,9 @@ class FitTrial:
         """Return how far from the detected touch it may be [m]."""
         return _TOUCH_REACH * self.onset_std
 
-    @property
+    @cached_property
     def peak_force(self) -> float:
-        """Return the largest mean force of a step [N]."""
+        """Return the largest mean force of a step [N]; in a planned trial, of one like it."""
         return max(float(np.abs(self.force).max()), 1e-300)
 
     @property
@@ -1068,7 +1068,10 @@ def planned(
         path=path,
     )
     events = np.array([t for t in corners[1:] if t < edges[-1]])
-    return _with_steps(trial, _steps(edges, events, like.interval, windows=False))
+    made = _with_steps(trial, _steps(edges, events, like.interval, windows=False))
+    # How far its zero may be off goes with the forces, which it has not measured.
+    made.__dict__['peak_force'] = like.peak_force
+    return made
 
 
 def _prepare(

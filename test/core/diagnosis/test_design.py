@@ -23,6 +23,7 @@ from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.sim.specimen import Undeclared
+import numpy as np
 import pytest
 
 FIRST, SECOND = 'yield_force', 'shear_thinning'
@@ -104,6 +105,15 @@ def test_a_push_that_should_be_fast_and_deep_ends_where_the_cell_does(noise_only
     # Against white noise the largest force tells most.
     assert push.push_speed == pytest.approx(LIMITS.fastest)
     assert push.depth == pytest.approx(LIMITS.deepest)
+
+
+def test_one_more_of_trials_that_scatter_tells_as_much_as_one_of_them(short: Any) -> None:
+    plain, base = short.bench()
+    bench = plain.scattering(np.full(3, 0.02))
+    push = suggest(bench, bench.taken_over(base), None, short.phases, LIMITS)
+    # However well it is measured: what is another each time is seen three times, not two.
+    assert push is not None
+    assert push.gain == pytest.approx(math.sqrt(3.0 / 2.0), rel=0.1)
 
 
 def lead(world: Any, hold: float, extra: tuple[float, float]) -> float:
