@@ -101,7 +101,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar='BAG',
-        help='bags that nothing is fitted to and that are only predicted',
+        help='bags that nothing is fitted to and that are only predicted, also if they are among '
+        'the others',
     )
     parser.add_argument(
         '--model',
@@ -294,6 +295,11 @@ def _check(args: argparse.Namespace) -> None:
                 '--bootstrap tests the search for effects, which --model replaces: leave one out.'
             )
     check_out(args.out)
+    # A pattern names those that are held out as well.
+    unseen = {bag.resolve() for bag in args.hold_out}
+    args.bags = [bag for bag in args.bags if bag.resolve() not in unseen]
+    if not args.bags:
+        raise UsageError('--hold-out names every bag: leave one or more to fit.')
     seen: set[Path] = set()
     for bag in [*args.bags, *args.hold_out]:
         resolved = bag.resolve()

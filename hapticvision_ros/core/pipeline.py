@@ -70,6 +70,9 @@ _NO_RISE: Final = 1.01
 _MISSED: Final = 1.5
 _UNSEEN: Final = 2.0
 """Misfit over the noise, and mean squares of unseen samples over fitted ones, that are told."""
+_OUTLYING: Final = 10.0
+_FEWEST_ALIKE: Final = 3
+"""Mean squares of one trial over the median of the others that are told, and trials for that."""
 _UNLIKELY: Final = 1e-3
 """Chance of a larger ratio of these squares in trials that scatter, that is told."""
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
@@ -438,6 +441,7 @@ def _compared(
     ]
     if diagnosis is not None:
         told += _passed_for_noise(models[-1], diagnosis)
+    told += _stands_out(models[-1])
     told += _worse_unseen(models[-1], held_out)
     return CampaignAnalysis(
         trials=tuple(trials),
@@ -478,11 +482,7 @@ def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> li
     """Return which channels the model misses by far more where it has not seen the trials."""
     if model.train is None or model.held_out is None or model.fit is None:
         return []
-    beyond, scatter = _UNSEEN, model.fit.problem.scatter.size
-    if scatter and len(model.trials) > 1:
-        # Shared parameters miss trials that scatter, by chance some more than others.
-        degrees = scatter * (len(model.trials) - 1)
-        beyond = max(beyond, float(fdtri(scatter, degrees, 1.0 - _UNLIKELY)))
+    beyond = _beyond_chance(model.fit, _UNSEEN)
     told = []
     for channel, name in _NAMES.items():
         seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
@@ -503,6 +503,40 @@ def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> li
             'not show in the fitted ones'
         )
     return told
+
+
+def _stands_out(model: 'FittedModel') -> list[str]:
+    """Return which trial the model misses by far more than the others, by channel."""
+    if model.train is None or model.fit is None:
+        return []
+    told = []
+    for channel, name in _NAMES.items():
+        missed = {
+            trial: one.chi2
+            for (trial, of), one in model.train.by_trial.items()
+            if of == channel and one.chi2 is not None
+        }
+        if len(missed) < _FEWEST_ALIKE:
+            continue
+        worst = max(missed, key=missed.__getitem__)
+        usual = float(np.median([chi2 for trial, chi2 in missed.items() if trial != worst]))
+        if missed[worst] < _beyond_chance(model.fit, _OUTLYING) * max(usual, 1.0):
+            continue
+        told.append(
+            f'{worst} stands out: the {model.model.name} model misses its {name} by '
+            f'{math.sqrt(missed[worst]):.3g} times the noise, and that of the other trials by '
+            f'{math.sqrt(usual):.3g} times (median): if it is no push like them, leave it out'
+        )
+    return told
+
+
+def _beyond_chance(fit: 'Fit', least: float) -> float:
+    """Return from which ratio on squares of some trials are told to be more than those of all."""
+    scatter, trials = fit.problem.scatter.size, len(fit.problem.trials)
+    if not scatter or trials < 2:
+        return least
+    # Shared parameters miss trials that scatter, by chance some more than others.
+    return max(least, float(fdtri(scatter, scatter * (trials - 1), 1.0 - _UNLIKELY)))
 
 
 def _of_models(fits: 'Sequence[Fit]') -> list[str]:

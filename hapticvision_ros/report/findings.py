@@ -64,18 +64,18 @@ def findings(diagnosis: Diagnosis, units: UnitSystem) -> list[str]:
 
 def _answer(diagnosis: Diagnosis) -> str:
     """Return the status as a sentence."""
-    effects = _listed(diagnosis.effects, 'and')
     if diagnosis.status == 'none':
         return (
             'The base model explains these trials to within their noise: nothing that it lacks '
             'shows.'
         )
+    # What these trials cannot tell apart has no leader for a reader.
+    effects = ' and by '.join(_listed(each, 'or') for each in diagnosis.sets)
     if diagnosis.status == 'explained':
         return f'What the base model lacks is explained by {effects}.'
     if diagnosis.status == 'partly_explained':
         return f'What the base model lacks is explained in part by {effects}.'
-    tried = '' if not diagnosis.effects else f', not even with {effects}'
-    return f'The base model lacks something that no effect of the library explains{tried}.'
+    return 'The base model lacks something that no effect of the library explains.'
 
 
 def _chance(found: Bootstrap) -> str:

@@ -14,6 +14,7 @@
 
 """The verb ``fit``: what it writes, what it refuses, and what it leaves behind when it fails."""
 
+import argparse
 import errno
 import io
 import json
@@ -26,8 +27,9 @@ import sys
 
 from hapticvision_ros.bag.contract import DISPLACEMENT_HEIGHT, TOOL_HEIGHT
 from hapticvision_ros.bag.writer import BagWriter
-from hapticvision_ros.cli.fit import Progress, write_json
+from hapticvision_ros.cli.fit import _check, add_arguments, Progress, write_json
 from hapticvision_ros.cli.main import main
+from hapticvision_ros.core.errors import UsageError
 import pytest
 
 BAGS = Path(__file__).parents[2] / 'bags'
@@ -281,8 +283,22 @@ def test_bags_of_one_name_are_told_apart_by_their_paths(
 
 
 def test_a_bag_named_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _fit(SLOW, '--out', tmp_path, '--hold-out', SLOW.parent / '.' / SLOW.name) == 2
+    link = tmp_path / 'link'
+    link.symlink_to(SLOW)
+    assert _fit(SLOW, link, '--out', tmp_path) == 2
     assert 'named twice' in capsys.readouterr().err
+
+
+def test_a_bag_that_is_held_out_may_be_named_with_all_others(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    out = ['--out', str(tmp_path / 'out')]
+    args = parser.parse_args(['a', './b', 'c', '--hold-out', 'b', *out])
+    _check(args)
+    assert args.bags == [Path('a'), Path('c')]
+    args = parser.parse_args(['a', 'b', '--hold-out', 'b', 'a', *out])
+    with pytest.raises(UsageError, match='names every bag'):
+        _check(args)
 
 
 def test_nothing_is_written_into_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

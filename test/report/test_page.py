@@ -158,7 +158,11 @@ def test_a_diagnosis_stands_with_all_that_it_says(
     assert found is not None
     section = text_of(full.xpath('//section[@id="diagnosis"]')[0])
     sentences = findings(found, SI_UNITS)
-    assert sentences[0].endswith('explained in part by parallel_spring.')
+    assert sentences[0].endswith('explained in part by parallel_spring or springpot.')
+    two = replace(
+        found, effects=('damage', 'yield_force'), sets=(('damage',), ('yield_force', 'friction'))
+    )
+    assert findings(two, SI_UNITS)[0].endswith('by damage and by yield_force or friction.')
     assert any(
         s.endswith('accepted in 2; as large a gain as here has p\xa0=\xa00.020.')
         for s in sentences

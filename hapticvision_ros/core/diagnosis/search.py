@@ -736,15 +736,18 @@ class _Search:
         if few and scatter.cautious.any() and _AGEING in names:
             scatter = self._steady(bench, base, scatter)
         if scatter.std.any():
-            harmless = scatter.block is None and scatter.std.max() < _OTHER_OBJECTS
+            said = 'a nuisance that is allowed for'
+            if scatter.std.max() >= _OTHER_OBJECTS:
+                said = 'more than one object does'
+            elif scatter.block is None:
+                said += ' and no effect'
             sizes = ', '.join(
                 f'{100.0 * size:.2g} % in {name}'
                 for size, name in zip(scatter.std, base.model.names, strict=True)
             )
             self.warnings.append(
                 f'repeats of the same push scatter by {sizes} ({scatter.degrees} differences '
-                f'between repeats): a nuisance that is allowed for'
-                + (' and no effect' if harmless else '')
+                f'between repeats): {said}'
             )
         return scatter
 

@@ -394,6 +394,20 @@ def test_trials_that_scatter_tell_an_object_no_better_than_they_scatter(world: A
     assert not any('contradiction' in each for each in whole.warnings)
 
 
+def test_a_trial_whose_force_is_lost_is_named(world: Any) -> None:
+    pairs = world.measure(world.campaign(hold=3.0, recover=2.0), seed=8).pairs
+    trials = [analyse(trial) for trial, _ in pairs]
+    assert not any('stands out' in each for each in analyse_campaign(trials).warnings)
+    lost, phases = pairs[1]
+    assert phases.t_hold is not None
+    force = lost.force
+    dead = replace(force, value=np.where(force.t > phases.t_hold + 1.0, 0.0, force.value))
+    trials[1] = analyse(replace(lost, force=dead))
+    whole = analyse_campaign(trials)
+    (told,) = [each for each in whole.warnings if 'stands out' in each and 'its force' in each]
+    assert told.startswith(f'{lost.name} stands out: ')
+
+
 @pytest.mark.parametrize(
     ('scatter', 'unseen', 'told'),
     [(0, 5.0, True), (3, 5.0, False), (3, 12.0, True), (0, 1.5, False)],
@@ -408,8 +422,9 @@ def test_trials_that_scatter_miss_unseen_ones_by_chance(
         model=Model(),
         train=seen,
         held_out=missed,
-        trials=6 * (None,),
-        fit=SimpleNamespace(problem=SimpleNamespace(scatter=np.full(scatter, 0.02))),
+        fit=SimpleNamespace(
+            problem=SimpleNamespace(scatter=np.full(scatter, 0.02), trials=6 * (None,))
+        ),
     )
     assert bool(pipeline._worse_unseen(model, ())) == told  # type: ignore[arg-type]
 
@@ -462,7 +477,7 @@ def test_two_objects_are_no_scatter_of_one(world: Any) -> None:
     assert found.status in ('unexplained', 'partly_explained')
     assert found.unexplained is not None
     (told,) = (each for each in found.warnings if each.startswith('repeats of the same push'))
-    assert not told.endswith('and no effect')
+    assert told.endswith('more than one object does')
 
 
 def test_how_an_arm_may_stop_is_no_effect_and_no_rest(
