@@ -74,7 +74,7 @@ _OUTLYING: Final = 10.0
 _FEWEST_ALIKE: Final = 3
 """Mean squares of one trial over the median of the others that are told, and trials for that."""
 _UNLIKELY: Final = 1e-3
-"""Chance of a larger ratio of these squares in trials that scatter, that is told."""
+"""Chance of a trial that differs by more than trials scatter, that is told."""
 NOTHING_ADDED: Final = 'no effect was added to the base model, so there is no model after'
 
 
@@ -460,9 +460,6 @@ def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]
     """Return which channels are missed by more than their noise though nothing is said to lack."""
     if model.train is None or model.fit is None or diagnosis.unexplained is not None:
         return []
-    if model.fit.problem.scatter.size:
-        # Shared parameters miss trials that scatter.
-        return []
     told = []
     for channel, name in _NAMES.items():
         seen = model.train.total.get(channel)
@@ -480,16 +477,15 @@ def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]
 
 def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> list[str]:
     """Return which channels the model misses by far more where it has not seen the trials."""
-    if model.train is None or model.held_out is None or model.fit is None:
+    if model.train is None or model.held_out is None:
         return []
-    beyond = _beyond_chance(model.fit, _UNSEEN)
-    told = []
+    told = _another_object(model)
     for channel, name in _NAMES.items():
         seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
         if seen is None or left_out is None or seen.chi2 is None or left_out.chi2 is None:
             continue
         fitted, unseen = seen.chi2, left_out.chi2
-        if unseen < beyond * max(fitted, 1.0):
+        if unseen < _UNSEEN * max(fitted, 1.0):
             continue
         where = (
             f'the trials held out ({", ".join(one.trial.name for one in held_out)})'
@@ -505,9 +501,41 @@ def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> li
     return told
 
 
+def _another_object(model: 'FittedModel') -> list[str]:
+    """
+    Return which trials held out differ from the fitted ones by more than these scatter.
+
+    What is missed does not tell it: a trial has K1, C1 and C2 of its own where trials scatter.
+    """
+    assert model.fit is not None
+    scatter = model.fit.problem.scatter
+    degrees = scatter.size * (len(model.fit.problem.trials) - 1)
+    if not degrees:
+        return []
+    # As well as scatter is known from so many trials.
+    most = scatter.size * float(fdtri(scatter.size, degrees, 1.0 - _UNLIKELY))
+    names = model.model.names[: scatter.size]
+    told = []
+    for one in model.unseen:
+        if one is None:
+            continue
+        own = [one.values[f'scatter of {name}'].value or 0.0 for name in names]
+        if float(np.sum((np.array(own) / scatter) ** 2)) < most:
+            continue
+        sizes = ', '.join(
+            f'{100.0 * math.expm1(size):+.2g} % in {name}'
+            for size, name in zip(own, names, strict=True)
+        )
+        told.append(
+            f'a contradiction: {one.name}, held out, differs from the fitted trials by {sizes}, '
+            'which is more than these scatter: it is of another object or way to push'
+        )
+    return told
+
+
 def _stands_out(model: 'FittedModel') -> list[str]:
     """Return which trial the model misses by far more than the others, by channel."""
-    if model.train is None or model.fit is None:
+    if model.train is None:
         return []
     told = []
     for channel, name in _NAMES.items():
@@ -520,7 +548,7 @@ def _stands_out(model: 'FittedModel') -> list[str]:
             continue
         worst = max(missed, key=missed.__getitem__)
         usual = float(np.median([chi2 for trial, chi2 in missed.items() if trial != worst]))
-        if missed[worst] < _beyond_chance(model.fit, _OUTLYING) * max(usual, 1.0):
+        if missed[worst] < _OUTLYING * max(usual, 1.0):
             continue
         told.append(
             f'{worst} stands out: the {model.model.name} model misses its {name} by '
@@ -528,15 +556,6 @@ def _stands_out(model: 'FittedModel') -> list[str]:
             f'{math.sqrt(usual):.3g} times (median): if it is no push like them, leave it out'
         )
     return told
-
-
-def _beyond_chance(fit: 'Fit', least: float) -> float:
-    """Return from which ratio on squares of some trials are told to be more than those of all."""
-    scatter, trials = fit.problem.scatter.size, len(fit.problem.trials)
-    if not scatter or trials < 2:
-        return least
-    # Shared parameters miss trials that scatter, by chance some more than others.
-    return max(least, float(fdtri(scatter, scatter * (trials - 1), 1.0 - _UNLIKELY)))
 
 
 def _of_models(fits: 'Sequence[Fit]') -> list[str]:
