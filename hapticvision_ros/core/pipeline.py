@@ -34,7 +34,6 @@ from hapticvision_ros.core.fit.paper import fit_paper, PaperResult
 from hapticvision_ros.core.records import Estimate, Segmentation, Trial
 from hapticvision_ros.core.segmentation import segment
 import numpy as np
-from scipy.special import fdtri
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
@@ -512,6 +511,8 @@ def _another_object(model: 'FittedModel') -> list[str]:
     degrees = scatter.size * (len(model.fit.problem.trials) - 1)
     if not degrees:
         return []
+    from scipy.special import fdtri
+
     # As well as scatter is known from so many trials.
     most = scatter.size * float(fdtri(scatter.size, degrees, 1.0 - _UNLIKELY))
     names = model.model.names[: scatter.size]
