@@ -245,6 +245,8 @@ _MOST_SHAPES: Final = 1 << 14
 """Shapes of changes of speed that are known, some hundred samples each."""
 _EDGE_SAMPLES: Final = (6, 3)
 """Samples of the encoders beside a change of speed; the first number that will do counts."""
+_LINED_AGAIN: Final = 3
+"""Times that straight pieces between changes of speed are told anew by what these leave."""
 _LEFT_OVER: Final = 0.3
 """Part of a piece that is left at least where a change of speed beside it goes on into it."""
 _MOSTLY_ROUNDED: Final = 3.0
@@ -1885,6 +1887,10 @@ class _Turned(NamedTuple):
         ]
 
 
+type _Part = _Turned | list[tuple[float, float]]
+"""Of a path: a change of speed, or corners, each a time and a level."""
+
+
 def _goes_on(displacement: Signal, touch: float, unsure: float) -> bool:
     """Return whether the tool goes on after the touch by more than is unsure of it there."""
     # A reading of the encoders that is far off is no way.
@@ -2385,7 +2391,7 @@ def _bent(
             groups[-1].append(k)
         else:
             groups.append([k])
-    parts: list[_Turned | list[tuple[float, float]]] = [[(float(knots[0]), float(levels[0]))]]
+    parts: list[_Part] = [[(float(knots[0]), float(levels[0]))]]
     are_short = False
     pending = groups[::-1]
     while pending:
@@ -2428,12 +2434,17 @@ def _bent(
         parts.append(found)
     parts.append([(float(knots[-1]), float(levels[-1]))])
     _rest_alike(parts)
-    turns = [part for part in parts if isinstance(part, _Turned)]
-    ends = [each for part in parts for each in (part.knots if isinstance(part, _Turned) else part)]
-    made, heights = np.array(ends).T
-    path = ToolPath(made, heights, noise, tuple(_bends(turns)))
+    made, heights, turns, after = _joined(t, value, parts, noise, coarse)
+    for _ in range(_LINED_AGAIN):
+        anew = _lined_again(t, value, parts, step, noise, coarse, servo)
+        if anew is None:
+            break
+        _rest_alike(anew)
+        joined = _joined(t, value, anew, noise, coarse)
+        if joined[-1] > after - SHOWN * noise**2 or np.any(np.diff(joined[0]) <= 0.0):
+            break
+        parts, (made, heights, turns, after) = anew, joined
     before = float(np.sum((value - np.interp(t, knots, levels)) ** 2))
-    after = float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
     # The pieces between are those of least squares by themselves: all must still follow.
     if np.any(np.diff(made) <= 0.0) or after > _NO_WORSE * before + t.size * noise**2:
         if are_short:
@@ -2442,7 +2453,70 @@ def _bent(
     return made, heights, turns
 
 
-def _rest_alike(parts: list[_Turned | list[tuple[float, float]]]) -> None:
+def _joined(
+    t: FloatArray,
+    value: FloatArray,
+    parts: Sequence[_Part],
+    noise: float,
+    coarse: float,
+) -> tuple[FloatArray, FloatArray, list[_Turned], float]:
+    """Return the corners of a path of parts, its changes of speed, and the squares it leaves."""
+    turns = [part for part in parts if isinstance(part, _Turned)]
+    ends = [each for part in parts for each in (part.knots if isinstance(part, _Turned) else part)]
+    made, heights = np.array(ends).T
+    path = ToolPath(made, heights, noise, tuple(_bends(turns)))
+    return made, heights, turns, float(np.sum(_beyond(value - path.at(t), coarse) ** 2))
+
+
+def _lined_again(
+    t: FloatArray,
+    value: FloatArray,
+    parts: Sequence[_Part],
+    step: float,
+    noise: float,
+    coarse: float,
+    servo: Servo | None,
+) -> list[_Part] | None:
+    """
+    Return the parts with those lines anew that samples of a change of speed have bent, if any.
+
+    Where one begins and ends is known once a shape follows it. Of a quick push, with little
+    between two long changes of speed, the corners told it too roughly.
+    """
+    bent = set[int]()
+    for k, (one, other) in enumerate(pairwise(parts)):
+        if not isinstance(one, _Turned) or not isinstance(other, _Turned):
+            continue
+        inside = _within(t, one.bend.stop, other.bend.start)
+        count = inside.stop - inside.start
+        if count < _EDGE_SAMPLES[1]:
+            continue
+        (at, level), (end, next_level) = one.knots[-1], other.knots[0]
+        near, there = t[inside], value[inside]
+        off = there - level - (next_level - level) / (end - at) * (near - at)
+        line = _line(near, there, np.ones(count))
+        left = there - line[0] - line[1] * near
+        squares = float(np.sum(_beyond(off, coarse) ** 2))
+        if squares - float(left @ left) > SHOWN * noise**2:
+            bent |= {k, k + 1}
+    made = list(parts)
+    for k in sorted(bent):
+        before, turn, after = parts[k - 1], parts[k], parts[k + 1]
+        assert isinstance(turn, _Turned)
+        start, stop = turn.bend.start, turn.bend.stop
+        first = before.bend.stop if isinstance(before, _Turned) else before[-1][0]
+        last = after.bend.start if isinstance(after, _Turned) else after[0][0]
+        sides = _within(t, first, start), _within(t, stop, last)
+        if min(side.stop - side.start for side in sides) < _EDGE_SAMPLES[1]:
+            continue
+        known = servo if turn.bend.common else None
+        found = _bend(t, value, (first, start, stop, last), step, noise, coarse, 0, known)
+        if found is not None:
+            made[k] = found
+    return made if any(a is not b for a, b in zip(made, parts, strict=True)) else None
+
+
+def _rest_alike(parts: list[_Part]) -> None:
     """
     Let a tool that reads the same after a stop and before the next start rest at one place.
 
