@@ -265,6 +265,7 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:
     """Print the parameters, what is doubtful, how far the models miss, and what was found."""
     from hapticvision_ros.report.findings import findings
+    from hapticvision_ros.report.leftover import residual_sentences
     from hapticvision_ros.report.misses import held_out_sentences, verdicts
 
     analyses = campaign.trials + campaign.held_out
@@ -276,7 +277,8 @@ def print_tables(campaign: 'CampaignAnalysis', units: 'UnitSystem') -> None:
     print('\nOne model for all of push, hold, release and recovery, of all trials together:\n')
     print('\n'.join(_model_table(campaign, units)))
     print()
-    print('\n'.join([*verdicts(campaign, units), *held_out_sentences(campaign, units)]))
+    lines = [*verdicts(campaign, units), *held_out_sentences(campaign, units)]
+    print('\n'.join([*lines, *residual_sentences(campaign, units)]))
     for warning in campaign.warnings:
         print(f'  {warning}')
     if campaign.diagnosis is not None:

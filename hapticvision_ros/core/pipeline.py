@@ -37,7 +37,13 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hapticvision_ros.core.composition import Model
-    from hapticvision_ros.core.diagnosis.records import Channel, Diagnosis, HeldOutChange, Misfits
+    from hapticvision_ros.core.diagnosis.records import (
+        Channel,
+        Diagnosis,
+        HeldOutChange,
+        Leftovers,
+        Misfits,
+    )
     from hapticvision_ros.core.fit.campaign import Fit, TrialFit
     from hapticvision_ros.core.fit.held_out import Unseen
 
@@ -127,6 +133,8 @@ class FittedModel:
         How far the model misses the trials that it was fitted to.
     held_out : Misfits or None
         How far it misses trials that its parameters have not seen.
+    left : Leftovers or None
+        What it leaves of the trials that it was fitted to, beside the noise of the sensors.
 
     """
 
@@ -137,6 +145,7 @@ class FittedModel:
     unseen: 'tuple[TrialFit | None, ...]'
     train: 'Misfits | None'
     held_out: 'Misfits | None'
+    left: 'Leftovers | None' = None
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -387,10 +396,12 @@ def _compared(
         misfits,
         sample_noise,
     )
+    from hapticvision_ros.core.fit.lack_of_fit import lack_of_fit, sensor_noise
 
     fits = [before] if after is None else [before, after]
     seen = [fitted_trials(one, trials) for one in fits]
     noise = sample_noise(fits[-1], seen[-1], trials)
+    quiet = sensor_noise(fits[-1], trials, noise)
     told = list(warnings)
     if held_out:
         tell('predicting the trials held out')
@@ -435,6 +446,7 @@ def _compared(
             unseen=unseen[index].trials if by == 'name' else (),
             train=misfits(beside, trials, noise),
             held_out=errors[index],
+            left=lack_of_fit(one, trials, quiet),
         )
         for index, (one, beside) in enumerate(zip(fits, seen, strict=True))
     ]

@@ -23,9 +23,12 @@ from hapticvision_ros.core.diagnosis.records import (
     Candidate,
     Channel,
     Diagnosis,
+    Leftover,
+    Leftovers,
     Misfit,
     Misfits,
     NextTrial,
+    Phase,
 )
 from hapticvision_ros.core.fit.held_out import labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis, FittedModel, TrialAnalysis
@@ -171,6 +174,64 @@ def _model(fitted: FittedModel, names: Mapping[str, Mapping[str, str]]) -> dict[
                 for side, of in sides.items()
             },
         },
+        'residual': None if fitted.left is None else _residual(fitted.left, names['train']),
+    }
+
+
+def _residual(left: Leftovers, bags: Mapping[str, str]) -> dict[str, Any]:
+    """Return the entry of what a model leaves; `bags` has the bag of each trial's label."""
+    units = dict(CHANNELS)
+    parts = [_leftover(of, channel, None, None) for channel, of in left.total.items()]
+    parts += [
+        _leftover(of, channel, None, phase) for (channel, phase), of in left.by_phase.items()
+    ]
+    parts += [
+        _leftover(of, channel, bags[label], None) for (label, channel), of in left.by_trial.items()
+    ]
+    return {
+        'noise': [
+            {
+                'channel': channel,
+                f'white_{units[channel]}': _number(of.white),
+                f'slow_{units[channel]}': _number(of.slow),
+                'correlation_time_s': _number(of.correlation_time),
+                f'wander_{units[channel]}': _number(of.wander),
+            }
+            for channel, of in left.noise.items()
+        ],
+        'parts': parts,
+        'smooth': [
+            {
+                'channel': curve.channel,
+                'bag': bags[curve.trial],
+                'phase': curve.phase,
+                'time_s': curve.t.tolist(),
+                f'value_{units[curve.channel]}': curve.value.tolist(),
+                f'std_{units[curve.channel]}': curve.std.tolist(),
+            }
+            for curve in left.curves
+        ],
+    }
+
+
+def _leftover(
+    of: Leftover, channel: Channel, bag: str | None, phase: Phase | None
+) -> dict[str, Any]:
+    """Return the entry of what is left of one channel in one trial or phase, or in all."""
+    return {
+        'channel': channel,
+        'bag': bag,
+        'phase': phase,
+        'size': _number(of.size),
+        'neighbours': _number(of.neighbours),
+        'white_p': _number(of.white),
+        'smooth_p': _number(of.smooth),
+        'smooth_share': _number(of.share),
+        'depth_correlation': None if of.depth is None else _number(of.depth.correlation),
+        'depth_lag_s': None if of.depth is None else _number(of.depth.lag),
+        'speed_correlation': None if of.speed is None else _number(of.speed.correlation),
+        'speed_lag_s': None if of.speed is None else _number(of.speed.lag),
+        'order_correlation': _number(of.order),
     }
 
 

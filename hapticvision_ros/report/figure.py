@@ -19,7 +19,7 @@ The SVG is written out here: a plotting library takes longer to import and to dr
 a trial.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 import math
@@ -62,6 +62,12 @@ _LEGEND_GAP: Final = 18.0
 _ROOM_FOR_A_LETTER: Final = 6.0
 _ROOM_BESIDE_A_NAME: Final = 22.0
 _RAISED: Final = 11.5
+
+_CURVES_HEIGHT: Final = 105.0
+_ROOM_BETWEEN_CURVES: Final = 46.0
+_HUES: Final = 300.0
+"""Of the last of several trials; the first is red."""
+_MOST_NAMED: Final = 24
 
 _COLOURS: Final[dict[Role, str]] = {
     'measured': 'var(--measured)',
@@ -490,6 +496,132 @@ def svg(panel: Panel) -> str:
     box = f'0 0 {_number(_WIDTH)} {_number(bottom + _BOTTOM)}'
     style = f'font-size:{_FONT}px;fill:var(--ink)'
     return f'<svg viewBox="{box}" style="{style}">\n' + '\n'.join(parts) + '\n</svg>'
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothLine:
+    """
+    A curve through a few corners over one phase of one trial.
+
+    Parameters
+    ----------
+    trial : str
+        What the legend calls it.
+    phase : str
+        The phase.
+    t : ndarray, shape (n,)
+        Times of the corners, from the start of the phase [s].
+    value, std : ndarray, shape (n,)
+        Values there with their standard errors, in the unit of the picture.
+
+    """
+
+    trial: str
+    phase: str
+    t: FloatArray
+    value: FloatArray
+    std: FloatArray
+
+
+def curves_svg(
+    rows: Sequence[tuple[str, Sequence[SmoothLine]]], order: Sequence[str], unit: str
+) -> str:
+    """
+    Draw curves phase by phase, with a row for each model.
+
+    Parameters
+    ----------
+    rows : sequence of (str, sequence of SmoothLine)
+        The model and its curves.
+    order : sequence of str
+        The phases, as they follow one another.
+    unit : str
+        Unit of these.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element for the same page as that of `svg`; empty without any curve.
+
+    """
+    every = [each for _, lines in rows for each in lines]
+    if not every:
+        return ''
+    phases = [phase for phase in order if any(each.phase == phase for each in every)]
+    trials = list(dict.fromkeys(each.trial for each in every))
+    colours = {
+        trial: f'hsl({round(_HUES * k / max(len(trials) - 1, 1))} 65% 50%)'
+        for k, trial in enumerate(trials)
+    }
+    parts = []
+    legend = _names_of_trials(colours) if 1 < len(trials) <= _MOST_NAMED else ['']
+    for number, entries in enumerate(legend):
+        parts.append(f'<g transform="translate(0 {_LEGEND_LINE * number:g})">{entries}</g>')
+    top = _LEGEND_LINE * len(legend) + 3.5 * _FONT
+    room = _RIGHT - _LEFT - _ROOM_BETWEEN_CURVES * (len(phases) - 1)
+    width = room / len(phases)
+    for name, lines in rows:
+        parts.append(_text(_LEFT, top - 2.0 * _FONT, escape(name), 'start'))
+        bottom = top + _CURVES_HEIGHT
+        parts.append(_turned(0.5 * (top + bottom), f'Residual [{unit}]'))
+        for column, phase in enumerate(phases):
+            curves = [each for each in lines if each.phase == phase]
+            left = _LEFT + column * (width + _ROOM_BETWEEN_CURVES)
+            long = max((float(each.t[-1]) for each in curves), default=1.0)
+            frame = _Frame(left, left + width, top, bottom, (0.0, long), _around(curves))
+            x = 0.5 * (left + left + width)
+            parts.append(_text(x, top - 0.6 * _FONT, phase, style='fill:var(--soft)'))
+            inside = ['', _zero(frame, None)]
+            inside += [_with_errors(frame, each, colours[each.trial]) for each in curves]
+            parts += _axes(frame, _TICKS_OF_A_RESIDUAL, True, inside)
+        top = bottom + 6.0 * _FONT
+    for column in range(len(phases)):
+        x = _LEFT + column * (width + _ROOM_BETWEEN_CURVES) + 0.5 * width
+        parts.append(_text(x, top - 1.8 * _FONT, 'Time [s]'))
+    box = f'0 0 {_number(_WIDTH)} {_number(top - _FONT)}'
+    style = f'font-size:{_FONT}px;fill:var(--ink)'
+    return f'<svg viewBox="{box}" style="{style}">\n' + '\n'.join(parts) + '\n</svg>'
+
+
+def _around(curves: Sequence[SmoothLine]) -> Window:
+    """Return the limits of curves with their usual errors, and zero."""
+    ends = [0.0]
+    for each in curves:
+        # The first corners have few samples, and errors beside which nothing else would show.
+        std = np.minimum(each.std, np.median(each.std))
+        ends += [float(np.min(each.value - std)), float(np.max(each.value + std))]
+    low, high = min(ends), max(ends)
+    margin = 0.06 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _with_errors(frame: _Frame, curve: SmoothLine, colour: str) -> str:
+    """Return a curve with a bar for the error at each corner."""
+    bars = ''.join(
+        f'M{_number(frame.x(t))},{_number(frame.y(low))}V{_number(frame.y(high))}'
+        for t, low, high in zip(
+            curve.t.tolist(),
+            (curve.value - curve.std).tolist(),
+            (curve.value + curve.std).tolist(),
+            strict=True,
+        )
+    )
+    path = _polyline(frame.points(curve.t, curve.value))
+    return _path(bars, f'{_pen(colour, 2.2)};opacity:0.35') + _path(path, _pen(colour, 1.2))
+
+
+def _names_of_trials(colours: Mapping[str, str]) -> list[str]:
+    """Return the names of the trials beside their colours, in rows."""
+    rows, x = [''], _LEFT
+    for name, colour in colours.items():
+        width = _LEGEND_LINE + 6.0 + _LETTER * len(name)
+        if x > _LEFT and x + width > _RIGHT:
+            rows.append('')
+            x = _LEFT
+        rows[-1] += _path(f'M{_number(x)},12h{_LEGEND_LINE}', _pen(colour, 1.5))
+        rows[-1] += _text(x + _LEGEND_LINE + 6.0, 12.0 + 0.36 * _FONT, escape(name), 'start')
+        x += width + _LEGEND_GAP
+    return rows
 
 
 def _zero(frame: _Frame, noise: float | None) -> str:

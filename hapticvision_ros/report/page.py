@@ -29,6 +29,7 @@ from hapticvision_ros.report.sections import (
     method,
     parameters,
     provenance,
+    residual,
     summary,
     trials,
 )
@@ -41,6 +42,7 @@ SECTIONS: Final[tuple[tuple[str, Fill], ...]] = (
     ('diagnosis', diagnosis.fill),
     ('parameters', parameters.fill),
     ('errors', errors.fill),
+    ('residual', residual.fill),
     ('caveats', caveats.fill),
     ('trials', trials.fill),
     ('provenance', provenance.fill),

@@ -134,7 +134,7 @@ def _numbers(node: Any) -> list[float]:
 
 def _check_model(model: Any, names: set[str]) -> None:
     """Compare the entry of a model with the contract."""
-    assert set(model) == {'model', 'parameters', 'correlation', 'error'}
+    assert set(model) == {'model', 'parameters', 'correlation', 'error', 'residual'}
     assert np.shape(model['correlation']) == 2 * (len(model['parameters']),)
     for row, parameter in enumerate(model['parameters'].values()):
         told = model['correlation'][row][row]
@@ -152,6 +152,18 @@ def _check_model(model: Any, names: set[str]) -> None:
             assert set(phase) == DETAIL_KEYS
         for trial in error['by_trial'][side]:
             assert set(trial) == {'bag', *DETAIL_KEYS}
+    residual = model['residual']
+    assert [one['channel'] for one in residual['noise']] == ['force', 'height']
+    bags = [trial['bag'] for trial in error['by_trial']['train']]
+    groups = [(one['channel'], one['bag'], one['phase']) for one in residual['parts']]
+    assert len(set(groups)) == len(groups)
+    for channel in ('force', 'height'):
+        assert {(channel, None, None), (channel, None, 'recover')} <= set(groups)
+        assert [bag for c, bag, _ in groups if c == channel and bag] == bags
+    assert {one['bag'] for one in residual['smooth']} == set(bags)
+    for one in residual['smooth']:
+        unit = 'N' if one['channel'] == 'force' else 'm'
+        assert len(one['time_s']) == len(one[f'value_{unit}']) == len(one[f'std_{unit}']) > 2
 
 
 @pytest.mark.parametrize('named', [False, True], ids=['by condition', 'by name'])

@@ -17,7 +17,15 @@ from dataclasses import replace
 import re
 
 from hapticvision_ros.core.records import FloatArray
-from hapticvision_ros.report.figure import Mark, Panel, Phase, Series, svg
+from hapticvision_ros.report.figure import (
+    curves_svg,
+    Mark,
+    Panel,
+    Phase,
+    Series,
+    SmoothLine,
+    svg,
+)
 from lxml import etree
 import numpy as np
 import pytest
@@ -183,3 +191,51 @@ def test_a_record_of_one_sample_has_a_picture(panel: Panel) -> None:
     """A sensor may go silent after its first reading."""
     one = tuple(Series(line.role, line.label, line.t[:1], line.value[:1]) for line in panel.lines)
     assert 'NaN' not in svg(replace(panel, lines=one, residuals=()))
+
+
+def _line(trial: str, phase: str, value: list[float]) -> SmoothLine:
+    t = np.linspace(0.0, 2.0, len(value))
+    return SmoothLine(trial, phase, t, np.array(value), np.full(len(value), 0.01))
+
+
+def test_curves_stand_phase_by_phase_with_a_row_for_each_model() -> None:
+    before = [
+        _line('one', 'hold', [0.1, 0.3, 0.2]),
+        _line('<two>', 'hold', [-0.1, -0.3, -0.2]),
+        _line('one', 'push', [0.0, 0.1, 0.0]),
+    ]
+    after = [_line('one', 'hold', [0.001, -0.001, 0.0])]
+    picture = curves_svg([('base', before), ('base+more', after)], ['push', 'hold'], 'N')
+    read = texts(picture)
+    assert [one for one in read if one in ('push', 'hold')] == ['push', 'hold'] * 2
+    assert [read.index(one) for one in ('base', 'base+more')] == sorted(
+        read.index(one) for one in ('base', 'base+more')
+    )
+    assert read.count('Residual [N]') == 2
+    assert {'one', '<two>'} <= set(read)
+    root = etree.fromstring(picture)
+    lines = [node for node in root.iter('path') if 'stroke-width:1.2' in str(node.get('style'))]
+    assert len(lines) == 4
+    colours = [re.findall(r'hsl\([^)]*\)', str(node.get('style')))[0] for node in lines]
+    # The phases of the first row, then that of the second: a trial keeps its colour.
+    assert colours[0] == colours[1] == colours[3] != colours[2]
+    up, down = (corners(str(node.get('d'))) for node in lines[1:3])
+    # On paper, y goes downwards.
+    assert np.all(up[:, 1] < down[:, 1])
+    assert up[:, 1].argmin() == down[:, 1].argmax() == 1
+
+
+def test_no_curve_makes_no_picture_and_many_trials_no_list_of_names() -> None:
+    assert curves_svg([('base', [])], ['push'], 'N') == ''
+    many = [_line(f'trial {k}', 'hold', [0.1, 0.2, 0.1]) for k in range(40)]
+    assert 'trial 3' not in texts(curves_svg([('base', many)], ['hold'], 'N'))
+    few = curves_svg([('base', many[:20])], ['hold'], 'N')
+    assert {f'trial {k}' for k in range(20)} <= set(texts(few))
+    # Rows of names do not run over the edge, nor into the frame.
+    places = [
+        (float(str(node.get('x'))), node.getparent())
+        for node in etree.fromstring(few).iter('text')
+        if str(node.text).startswith('trial')
+    ]
+    assert max(x for x, _ in places) < 686.0
+    assert len({row.get('transform') for _, row in places}) > 1

@@ -17,9 +17,11 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
+from hapticvision_ros.core.diagnosis.records import Goes, Leftover, Leftovers
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign, CampaignAnalysis
 from hapticvision_ros.report.findings import findings
+from hapticvision_ros.report.leftover import residual_sentences
 from hapticvision_ros.report.misses import held_out_sentences, verdicts
 from hapticvision_ros.report.page import render, write_report
 from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
@@ -237,6 +239,7 @@ def test_sections_stand_in_their_order(tree: html.HtmlElement) -> None:
         'diagnosis',
         'parameters',
         'errors',
+        'residual',
         'caveats',
         'trials',
         'provenance',
@@ -245,6 +248,65 @@ def test_sections_stand_in_their_order(tree: html.HtmlElement) -> None:
     method = text_of(tree.xpath('//section[@id="method"]')[0])
     for number in (1, 4, 9, 10, 12, 13):
         assert f'({number})' in method
+
+
+def test_what_is_left_is_told_before_and_after_with_a_picture(diagnosed: CampaignAnalysis) -> None:
+    tree = html.document_fromstring(render(diagnosed))
+    (section,) = tree.xpath('//section[@id="residual"]')
+    heads = [text_of(each) for each in section.xpath('.//h3')]
+    assert heads == ['Force', 'Displacement height']
+    assert len(section.xpath('.//figure//svg')) >= 2
+    for table in section.xpath('.//table'):
+        models = [text_of(each).strip() for each in table.xpath('.//th[@scope="colgroup"]')]
+        assert [name.replace('\u200b', '') for name in models] == [
+            'three-element',
+            'three-element+parallel_spring',
+        ]
+        rows = [text_of(each).strip() for each in table.xpath('.//tbody//th')]
+        assert rows[0] == 'All'
+        assert {'push', 'hold', 'recover', 'whole'} <= set(rows)
+        assert len(table.xpath('.//tbody/tr[1]/td')) == 12
+    assert 'correlation time' in text_of(section)
+
+
+def _left(**changes: object) -> Leftover:
+    plain = Leftover(400, 1.01, 0.02, 0.4, 0.6, 0.03, Goes(0.1, 0.0), None, 0.02)
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    'left, said, unsaid',
+    [
+        (_left(), ['1.0 times its noise; nothing in it tells it from white noise'], ['goes']),
+        (
+            _left(size=18.0, neighbours=0.92, white=1e-9),
+            ['18 times its noise; it is not white (one mean goes with the next by 0.92).'],
+            ['smooth', 'goes with the depth'],
+        ),
+        (_left(smooth=1e-5, share=0.87), ['smooth over the phases by 87\u00a0%'], ['not white']),
+        (
+            _left(speed=Goes(-0.36, 0.512), depth=Goes(0.4, -0.004)),
+            [
+                'with the speed of the tool by \u22120.36 (0.51\u00a0s later)',
+                'depth of the tool by 0.40 (0.0040\u00a0s earlier)',
+            ],
+            ['order'],
+        ),
+        (_left(order=0.31), ['with the order of the trials by 0.31'], ['depth', 'speed']),
+        # By chance, with so few.
+        (_left(blocks=64, depth=Goes(0.5, 0.0)), ['nothing in it'], []),
+    ],
+)
+def test_what_is_left_is_told_in_words_where_it_is_beyond_chance(
+    campaign: CampaignAnalysis, left: Leftover, said: list[str], unsaid: list[str]
+) -> None:
+    assert campaign.before.left is not None
+    noise = campaign.before.left.noise
+    model = replace(campaign.before, left=Leftovers(noise, {'force': left}, {}, {}, ()))
+    (sentence,) = residual_sentences(replace(campaign, before=model, after=None), SI_UNITS)
+    assert sentence.startswith('What the three-element model leaves of the force, whitened, is ')
+    assert all(one in sentence for one in said)
+    assert not any(one in sentence for one in unsaid)
 
 
 def test_a_trial_that_no_model_could_be_fitted_to_still_has_its_page(

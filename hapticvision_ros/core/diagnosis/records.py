@@ -17,9 +17,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hapticvision_ros.core.fit.campaign import Fit
+from hapticvision_ros.core.fit.noise_model import SensorNoise
+from hapticvision_ros.core.records import FloatArray
 
 type Status = Literal['none', 'explained', 'partly_explained', 'unexplained']
 type Channel = Literal['force', 'height']
@@ -69,6 +71,115 @@ class Misfits:
     total: Mapping[Channel, Misfit]
     by_phase: Mapping[tuple[Channel, Phase], Misfit]
     by_trial: Mapping[tuple[str, Channel], Misfit]
+
+
+class Goes(NamedTuple):
+    """
+    How a residual goes with what the tool does.
+
+    Parameters
+    ----------
+    correlation : float
+        Largest correlation of the two, both whitened by the noise of the sensor, at any lag [-].
+    lag : float
+        By how much the residual comes later there [s].
+
+    """
+
+    correlation: float
+    lag: float
+
+
+@dataclass(frozen=True, slots=True)
+class Leftover:
+    """
+    What a model leaves of one channel, in means of samples that are whitened by the noise.
+
+    Parameters
+    ----------
+    blocks : int
+        How many means.
+    size : float
+        Their root mean square: 1 of noise alone [-].
+    neighbours : float or None
+        Correlation of each with the next; as are all others, None where few tell it [-].
+    white : float or None
+        Chance that white noise is as much correlated with itself, over ten lags (Ljung, Box).
+    smooth : float or None
+        Chance that white noise has smooth curves over the phases that take as much out.
+    share : float or None
+        Part of the squares, before whitening, that these curves take out [-].
+    depth, speed : Goes or None
+        How it goes with the depth and with the speed of a tool that touches.
+    order : float or None
+        Correlation of its means over each phase of a trial with the order of the trials [-].
+
+    """
+
+    blocks: int
+    size: float
+    neighbours: float | None
+    white: float | None
+    smooth: float | None
+    share: float | None
+    depth: Goes | None
+    speed: Goes | None
+    order: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothCurve:
+    """
+    What is smooth in the residual of one channel over one phase of one trial.
+
+    Parameters
+    ----------
+    trial : str
+        The trial.
+    channel : Channel
+        Where it is.
+    phase : Phase
+        When.
+    t : ndarray, shape (n,)
+        Corners of the curve, straight between: time since the phase began [s].
+    value, std : ndarray, shape (n,)
+        Measured minus predicted there, and its standard error [N or m].
+
+    """
+
+    trial: str
+    channel: Channel
+    phase: Phase
+    t: FloatArray
+    value: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Leftovers:
+    """
+    What a model leaves of the trials that it was fitted to.
+
+    Parameters
+    ----------
+    noise : mapping of Channel to SensorNoise
+        What the residual was whitened by.
+    total : mapping of Channel to Leftover
+        Over all.
+    by_phase : mapping of (Channel, Phase) to Leftover
+        Over all trials.
+    by_trial : mapping of (str, Channel) to Leftover
+        Over all phases; the first key is the trial's name.
+    curves : tuple of SmoothCurve
+        Trial by trial, in the order of the phases.
+
+    """
+
+    noise: Mapping[Channel, SensorNoise]
+    total: Mapping[Channel, Leftover]
+    by_phase: Mapping[tuple[Channel, Phase], Leftover]
+    by_trial: Mapping[tuple[str, Channel], Leftover]
+    curves: tuple[SmoothCurve, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -368,18 +368,6 @@ class Workbench:
         others = _best_of_others([each.state for each in left], _BEST)
         return Look(problem, (*left[:_BEST], *(left[k] for k in others)), promise)
 
-    def residual(
-        self, problem: Problem, state: FloatArray, index: int
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return measured minus predicted force and height of a trial, block by block."""
-        trial = self.trials[index]
-        prediction = problem.predict(state, index, directions=False)
-        _, force_zero, height_zero = problem.own(state, index)
-        return (
-            trial.force - prediction.force - force_zero,
-            trial.height - prediction.height - height_zero,
-        )
-
     def smooth(self, found: Refit, columns: Sequence[Columns], *, again: bool) -> Smooth:
         """
         Let curves take what they can out of the residual of a model, which may move as well.
@@ -610,7 +598,7 @@ class Workbench:
         def left(state: FloatArray) -> float:
             total = 0.0
             for index, (of_force, of_height) in enumerate(filters):
-                force, height = self.residual(problem, state, index)
+                force, height = problem.residual(state, index)
                 white = of_force(force[np.newaxis])[0]
                 total += float(white @ white)
                 if of_height is not None:
@@ -688,7 +676,7 @@ class Workbench:
             if not turn:
                 end = problem.search_on(end)
             state = end.theta
-            left = [self.residual(problem, state, index) for index in range(len(self.trials))]
+            left = [problem.residual(state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
             blur = blur if blurred else problem.sharpest(state, force, blur)
             jumps = problem.unsure(state, blur)

@@ -681,6 +681,16 @@ class Problem:
         height[-1] = prediction.height + height_zero - trial.height
         return force, height
 
+    def residual(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
+        """Return measured minus predicted force and height of a trial, block by block."""
+        trial = self.trials[index]
+        prediction = self.predict(state, index, directions=False)
+        _, force_zero, height_zero = self.own(state, index)
+        return (
+            trial.force - prediction.force - force_zero,
+            trial.height - prediction.height - height_zero,
+        )
+
     def evaluate(self, state: FloatArray) -> Evaluated:
         """
         Return the whitened residual and Jacobian, shapes (k,) and (k, size).

@@ -612,19 +612,19 @@ def estimate(
     relative = _split(point[0], math.exp(point[1]), start)
     level = _restricted(pile, relative)[1]
     if not pile.jumps:
-        return _louder(relative, level)
+        return louder(relative, level)
 
     # What is not known of a jump is of a size of its own, and has no level.
     def whole(point: FloatArray) -> float:
         if abs(point[0]) > _LOG_SIZES:
             return math.inf
-        return _likelihood(pile, _louder(relative, math.exp(point[0])))
+        return _likelihood(pile, louder(relative, math.exp(point[0])))
 
     _, best = minimum(whole, np.array([math.log(level)]), np.array([0.1]))
-    return _louder(relative, math.exp(best[0]))
+    return louder(relative, math.exp(best[0]))
 
 
-def _louder(noise: SensorNoise, times: float) -> SensorNoise:
+def louder(noise: SensorNoise, times: float) -> SensorNoise:
     """Return noise of so many times the size, but for how its zero wanders."""
     return replace(noise, white=times * noise.white, slow=times * noise.slow)
 

@@ -191,11 +191,9 @@ class BinghamBody:
             atol=1e-13,
         )
         t = np.arange(0.0, t_loss + recovery, 1.0 / rate)
-        tool = np.interp(
-            t,
-            [0.0, t_contact, t_hold, t_release, t[-1]],
-            [-push_speed, 0.0, depth, depth, depth - withdrawal * (t[-1] - t_release)],
-        )
+        corners = [0.0, t_contact, t_hold, t_release, t[-1]]
+        depths = [-push_speed, 0.0, depth, depth, depth - withdrawal * (t[-1] - t_release)]
+        tool = np.interp(t, corners, depths)
         tool[t < t_contact] = -push_speed * (t_contact - t[t < t_contact])
         forces = np.zeros_like(t)
         for piece in pieces:
@@ -204,7 +202,7 @@ class BinghamBody:
             forces[inside_piece] = [
                 force(when, z) for when, z in zip(t[inside_piece], states, strict=True)
             ]
-        depth_at_loss = float(np.interp(t_loss, t, tool))
+        depth_at_loss = float(np.interp(t_loss, corners, depths))
         seen = (t < t_contact) | (t > t_loss)
         height = np.where(
             t < t_contact, 0.0, depth_at_loss - z + free.sol(np.maximum(t, t_loss))[0]

@@ -1,0 +1,102 @@
+# Copyright 2026 The hapticvision_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the models leave of the residual, in plain words."""
+
+import math
+from typing import Final
+
+from hapticvision_ros.core.diagnosis.records import Channel, Goes, Leftover
+from hapticvision_ros.core.pipeline import CampaignAnalysis
+from hapticvision_ros.report.misses import ROUGH, short_name
+from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
+
+NAMES: Final[dict[Channel, str]] = {'force': 'force', 'height': 'displacement height'}
+_CHANCE: Final = 1e-3
+"""Chance below which a residual is not taken for white, or for without a smooth part."""
+_SIGMAS: Final = 5.0
+"""Correlation times the root of the number of means from which on it is none by chance."""
+
+
+def is_coloured(left: Leftover) -> bool:
+    """Return whether what is left is more alike from one mean to the next than white noise."""
+    return left.white is not None and left.white < _CHANCE
+
+
+def is_smooth(left: Leftover) -> bool:
+    """Return whether smooth curves take more out of it than out of white noise."""
+    return left.smooth is not None and left.smooth < _CHANCE
+
+
+def goes(left: Leftover, correlation: float) -> bool:
+    """Return whether it goes with something by more than chance."""
+    return abs(correlation) * math.sqrt(left.blocks) > _SIGMAS
+
+
+def residual_sentences(campaign: CampaignAnalysis, units: UnitSystem) -> list[str]:
+    """
+    Return what the last model leaves of each channel, one sentence each.
+
+    Parameters
+    ----------
+    campaign : CampaignAnalysis
+        The trials and the fits.
+    units : mapping of str to Unit
+        Units of display.
+
+    Returns
+    -------
+    list of str
+        Nothing of a channel without noise or samples.
+
+    """
+    model = campaign.before if campaign.after is None else campaign.after
+    if model.left is None:
+        return []
+    return [
+        _sentence(left, NAMES[channel], short_name(model), units)
+        for channel, left in model.left.total.items()
+    ]
+
+
+def _sentence(left: Leftover, what: str, model: str, units: UnitSystem) -> str:
+    size = _number(left.size)
+    known = []
+    if is_coloured(left) and left.neighbours is not None:
+        known.append(f'is not white (one mean goes with the next by {_number(left.neighbours)})')
+    if is_smooth(left) and left.share is not None:
+        share = _number(100.0 * left.share)
+        known.append(f'is smooth over the phases by {share}\u00a0%')
+    for name, with_it in (('depth', left.depth), ('speed', left.speed)):
+        if with_it is not None and goes(left, with_it.correlation):
+            known.append(f'goes with the {name} of the tool by {_with(with_it, units)}')
+    if left.order is not None and goes(left, left.order):
+        known.append(f'goes with the order of the trials by {_number(left.order)}')
+    text = f'What the {model} model leaves of the {what}, whitened, is {size} times its noise'
+    if not known:
+        return f'{text}; nothing in it tells it from white noise.'
+    return f'{text}; it {", ".join(known)}.'
+
+
+def _with(with_it: Goes, units: UnitSystem) -> str:
+    """Return a correlation, and by how much the residual comes later, if it does."""
+    text = _number(with_it.correlation)
+    if with_it.lag == 0.0:
+        return text
+    size = format_quantity(abs(with_it.lag), units['time'], digits=ROUGH)
+    return f'{text} ({size} {"later" if with_it.lag > 0.0 else "earlier"})'
+
+
+def _number(value: float) -> str:
+    return format_number(value, digits=ROUGH)
