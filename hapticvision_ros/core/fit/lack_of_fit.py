@@ -178,12 +178,14 @@ def sensor_noise(
         if corners and _chance(taken, corners) < _UNLIKELY:
             bare = [_without(each, of) for each, of in zip(records, curves, strict=True)]
             quiet = estimate(bare, start, interval, longest=longest)
-        air = [one for one in map(_before_contact, records) if one is not None]
-        seen = sum(one.residual.size for one in air)
-        if quiet.std > _LOUDER * most and seen >= _FEWEST:
+        if quiet.std > _LOUDER * most:
             # What is neither smooth nor noise would pass for slow noise.
-            quiet = estimate(air, quiet, interval, longest=longest)
-        found[channel] = louder(quiet, min(1.0, most / quiet.std))
+            air = [one for one in map(_before_contact, records) if one is not None]
+            if sum(one.residual.size for one in air) >= _FEWEST:
+                quiet = estimate(air, quiet, interval, longest=longest)
+            else:
+                quiet = louder(quiet, most / quiet.std)
+        found[channel] = quiet
     return found
 
 

@@ -23,8 +23,9 @@ from hapticvision_ros.core.fit import lack_of_fit as module
 from hapticvision_ros.core.fit.campaign import Fit, fit, Problem
 from hapticvision_ros.core.fit.held_out import fitted_trials, sample_noise
 from hapticvision_ros.core.fit.lack_of_fit import lack_of_fit, sensor_noise
+from hapticvision_ros.core.fit.noise import Noise
 from hapticvision_ros.core.fit.noise_model import SensorNoise
-from hapticvision_ros.core.records import Segmentation, Signal, Trial
+from hapticvision_ros.core.records import Estimate, Segmentation, Signal, Trial
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -38,7 +39,7 @@ PUSHES = ((0.002, 0.005), (0.005, 0.005), (0.005, 0.008), (0.003, 0.008))
 
 
 def _noisy(pair: Pair, seed: int) -> Pair:
-    """Return a trial whose force has noise that is alike over some samples."""
+    """Return a trial whose force has a zero, and noise that is alike over some samples."""
     trial, phases = pair
     rng = np.random.default_rng(seed)
     height = trial.displacement_height
@@ -50,7 +51,7 @@ def _noisy(pair: Pair, seed: int) -> Pair:
         trial,
         name=f'trial_{seed}',
         start_ns=seed * 600 * 10**9,
-        force=Signal(trial.force.t, trial.force.value + FORCE_NOISE * slow),
+        force=Signal(trial.force.t, trial.force.value + 0.05 + FORCE_NOISE * slow),
         displacement_height=Signal(
             height.t, height.value + HEIGHT_NOISE * rng.standard_normal(len(height))
         ),
@@ -80,6 +81,8 @@ def _noise(found: Fit, campaign: list[Pair]) -> dict[Any, SensorNoise]:
 
 def test_of_a_model_that_lacks_nothing_noise_is_left(right: Fit, campaign: list[Pair]) -> None:
     noise = _noise(right, campaign)
+    # Beside nothing smooth it is that of the fit, which knows what its parameters take out.
+    assert noise == {'force': right.noise.force, 'height': right.noise.height}
     assert noise['force'].std == pytest.approx(FORCE_NOISE, rel=0.05)
     assert noise['force'].correlation_time == pytest.approx(MEMORY, rel=0.25)
     assert noise['height'].std == pytest.approx(HEIGHT_NOISE, rel=0.05)
@@ -218,14 +221,14 @@ def test_trials_need_not_be_of_one_rate(campaign: list[Pair]) -> None:
     """Every second sample of one: lags are those of the slower, and the numbers are told."""
     trial, phases = campaign[0]
     slower = replace(trial, force=Signal(trial.force.t[::2], trial.force.value[::2]))
-    mixed = [(slower, phases), *campaign[1:]]
+    mixed = [*campaign[1:], (slower, phases)]
     found = fit(mixed, YIELD)
     left = lack_of_fit(found, mixed, _noise(found, mixed))
     force = left.total['force']
     assert force.size == pytest.approx(1.0, abs=0.05)
     assert force.white is not None and force.white > 1e-3
     assert force.speed is not None
-    steps = abs(force.speed.lag) / (2.0 * found.problem.trials[1].interval)
+    steps = abs(force.speed.lag) / (2.0 * found.problem.trials[0].interval)
     assert steps == pytest.approx(round(steps))
 
 
@@ -236,6 +239,24 @@ def test_what_grows_from_trial_to_trial_goes_with_their_order(leaves: Callable[.
     assert left.by_trial['trial_1', 'force'].order is None
     steady = leaves(lambda trial, _: 0.006 * (trial.middle > trial.t_contact)).total['force']
     assert abs(steady.order) * np.sqrt(steady.blocks) < 5.0
+
+
+def test_what_is_smooth_does_not_pass_for_slow_noise(
+    right: Fit, campaign: list[Pair], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An arch over each hold, five times as high as the noise, and no other level to compare."""
+    known = Problem.residual
+
+    def residual(self: Problem, state: Any, index: int) -> Any:
+        force, height = known(self, state, index)
+        t, hold = self.trials[index].middle, campaign[index][1].t_hold
+        arch = np.sin(np.pi * np.clip((t - hold) / 8.0, 0.0, 1.0))
+        return force + 5.0 * FORCE_NOISE * arch, height
+
+    monkeypatch.setattr(Problem, 'residual', residual)
+    noise = sensor_noise(right, campaign, Noise(Estimate(1.0), Estimate(1.0)))
+    assert noise['force'].std == pytest.approx(FORCE_NOISE, rel=0.05)
+    assert noise['force'].correlation_time == pytest.approx(MEMORY, rel=0.3)
 
 
 def test_what_is_neither_smooth_nor_noise_does_not_pass_for_noise(
@@ -257,3 +278,6 @@ def test_what_is_neither_smooth_nor_noise_does_not_pass_for_noise(
     assert noise['force'].std == pytest.approx(FORCE_NOISE, rel=0.1)
     assert noise['force'].correlation_time == pytest.approx(MEMORY, rel=0.5)
     assert lack_of_fit(right, campaign, noise).total['force'].white < 1e-12
+    # Where hardly anything is seen before the touch, as large as chi squared refers to.
+    monkeypatch.setattr(module, '_FEWEST', 10_000)
+    assert sensor_noise(right, campaign, level)['force'].std == pytest.approx(level.force.value)
