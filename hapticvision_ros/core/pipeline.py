@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from hapticvision_ros.core.diagnosis.records import (
         Channel,
         Diagnosis,
+        ErrorChanges,
         HeldOutChange,
         Leftovers,
         Misfits,
@@ -176,6 +177,8 @@ class CampaignAnalysis:
         How the held-out errors came about; None without any.
     change : HeldOutChange or None
         By how much `after` changes the error on the held-out trials.
+    changes : ErrorChanges or None
+        The same by channel, phase and trial.
     warnings : tuple of str
         What holds for all trials together.
 
@@ -189,6 +192,7 @@ class CampaignAnalysis:
     diagnosis: 'Diagnosis | None'
     held_out_by: HeldOutBy | None
     change: 'HeldOutChange | None'
+    changes: 'ErrorChanges | None'
     warnings: tuple[str, ...]
 
 
@@ -389,6 +393,7 @@ def _compared(
     workers: int,
 ) -> CampaignAnalysis:
     """Return the analysis with how far the models miss the trials."""
+    from hapticvision_ros.core.fit.change import error_changes
     from hapticvision_ros.core.fit.held_out import (
         are_repeats,
         fitted_trials,
@@ -419,7 +424,10 @@ def _compared(
         told.append(_why_nothing_is_held_out(trials, held_out))
     for one in unseen[:1]:
         told += one.warnings
-    change = held_out_change(*unseen) if len(unseen) > 1 else None
+    change = changes = None
+    if len(unseen) > 1:
+        change = held_out_change(*unseen)
+        changes = error_changes(unseen[0].trials, unseen[1].trials, against, noise, quiet)
     if diagnosis is not None and after is not None and change is not None:
         names = ', '.join(diagnosis.effects)
         # Of a single trial nothing tells by how much the squares differ by chance.
@@ -463,6 +471,7 @@ def _compared(
         diagnosis=diagnosis,
         held_out_by=by,
         change=change,
+        changes=changes,
         warnings=tuple(dict.fromkeys((*told, *_of_models(fits)))),
     )
 
@@ -666,7 +675,16 @@ def _nothing_fitted(
     )
     warnings += [f'{name} is unknown: {reason}' for name in model.names]
     return CampaignAnalysis(
-        tuple(trials), tuple(held_out), noise, nothing, None, None, None, None, tuple(warnings)
+        tuple(trials),
+        tuple(held_out),
+        noise,
+        nothing,
+        after=None,
+        diagnosis=None,
+        held_out_by=None,
+        change=None,
+        changes=None,
+        warnings=tuple(warnings),
     )
 
 

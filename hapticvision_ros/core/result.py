@@ -23,6 +23,8 @@ from hapticvision_ros.core.diagnosis.records import (
     Candidate,
     Channel,
     Diagnosis,
+    ErrorChange,
+    ErrorChanges,
     Leftover,
     Leftovers,
     Misfit,
@@ -86,7 +88,7 @@ def result_document(
         if campaign.held_out_by == 'condition'
         else dict(zip(labels(campaign.held_out), held_out_bags, strict=True)),
     }
-    change = campaign.change
+    change, changes = campaign.change, campaign.changes
     return {
         'schema': SCHEMA,
         'trials': trials,
@@ -105,9 +107,29 @@ def result_document(
             'change': _number(change.change),
             # Of a single trial nothing tells it.
             'std': _number(change.std) if change.std else None,
+            'parts': [] if changes is None else _changes(changes, names['held_out']),
         },
         'warnings': list(campaign.warnings),
     }
+
+
+def _changes(changes: ErrorChanges, bags: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return by how much the error changes by channel, phase and trial."""
+    found: list[tuple[Channel, str | None, Phase | None, ErrorChange]] = [
+        (channel, None, None, one) for channel, one in changes.total.items()
+    ]
+    found += [(channel, None, phase, one) for (channel, phase), one in changes.by_phase.items()]
+    found += [(channel, bags[of], None, one) for (of, channel), one in changes.by_trial.items()]
+    return [
+        {
+            'channel': channel,
+            'bag': bag,
+            'phase': phase,
+            'chi2': _number(one.chi2),
+            'std': _number(one.std),
+        }
+        for channel, bag, phase, one in found
+    ]
 
 
 def estimate_warnings(estimates: Mapping[str, Estimate]) -> list[str]:

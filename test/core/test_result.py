@@ -187,7 +187,17 @@ def test_the_document_has_the_keys_of_the_schema_and_finite_numbers(
     bags = [trial['bag'] for trial in document['before']['error']['by_trial']['held_out']]
     assert bags == (['b'] if named else ['a', 'b'])
     assert document['held_out_by'] == ('name' if named else 'condition')
-    assert set(document['held_out_change']) == {'ratio', 'change', 'std'}
+    assert set(document['held_out_change']) == {'ratio', 'change', 'std', 'parts'}
+    parts = document['held_out_change']['parts']
+    for channel in ('force', 'height'):
+        mine = {(one['bag'], one['phase']): one for one in parts if one['channel'] == channel}
+        assert {(None, None), (None, 'recover'), *((bag, None) for bag in bags)} <= set(mine)
+        chi2 = [
+            document[model]['error']['held_out'][f'{channel}_chi2']
+            for model in ('before', 'after')
+        ]
+        assert mine[None, None]['chi2'] == pytest.approx(chi2[1] - chi2[0], rel=0.02)
+        assert all(one['std'] > 0.0 for one in mine.values())
     # A single trial does not tell it.
     assert (document['held_out_change']['std'] is None) == named
     found = document['diagnosis']

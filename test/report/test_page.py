@@ -198,7 +198,7 @@ def test_parameters_stand_before_and_after_with_their_shift(
 def test_errors_stand_by_phase_and_trial_before_and_after_seen_and_unseen(
     diagnosed: CampaignAnalysis, full: html.HtmlElement
 ) -> None:
-    force, height = full.xpath('//section[@id="errors"]//table')
+    force, height, change = full.xpath('//section[@id="errors"]//table')
     rows = {
         row.xpath('string(th)'): [cell.text_content() for cell in row.xpath('td')]
         for row in force.xpath('.//tbody/tr')
@@ -210,6 +210,13 @@ def test_errors_stand_by_phase_and_trial_before_and_after_seen_and_unseen(
     assert all(rows[names[-1]][6:])
     # The trial without height has no row among the heights.
     assert 'blind' not in height.text_content()
+    changes = {
+        row.xpath('string(th)'): [cell.text_content() for cell in row.xpath('td')]
+        for row in change.xpath('.//tbody/tr')
+    }
+    assert list(changes)[0] == 'All' and list(changes)[-1] == names[-1]
+    assert all(len(cells) == 2 for cells in changes.values())
+    assert '±' in changes['All'][0] and '±' in changes['hold'][0]
 
 
 def test_each_model_has_its_own_row_of_residuals(full: html.HtmlElement) -> None:

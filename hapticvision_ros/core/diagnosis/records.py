@@ -202,6 +202,47 @@ class HeldOutChange:
     std: float
 
 
+class ErrorChange(NamedTuple):
+    """
+    By how much an added effect changes the error on some unseen samples.
+
+    Parameters
+    ----------
+    samples : int
+        How many samples.
+    chi2 : float
+        Mean of the squares over those of the noise, with the effect less without.
+    std : float
+        Its standard error: over the trials, or of one trial what the sensor's noise makes.
+
+    """
+
+    samples: int
+    chi2: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorChanges:
+    """
+    By how much an added effect changes the errors on unseen trials.
+
+    Parameters
+    ----------
+    total : mapping of Channel to ErrorChange
+        Over all samples.
+    by_phase : mapping of (Channel, Phase) to ErrorChange
+        Over all trials.
+    by_trial : mapping of (str, Channel) to ErrorChange
+        Over all phases; the first key is the trial's name.
+
+    """
+
+    total: Mapping[Channel, ErrorChange]
+    by_phase: Mapping[tuple[Channel, Phase], ErrorChange]
+    by_trial: Mapping[tuple[str, Channel], ErrorChange]
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """

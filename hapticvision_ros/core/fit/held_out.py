@@ -301,11 +301,15 @@ def misfits(
 
 def residuals(trial: TrialFit, segmentation: Segmentation, channel: Channel) -> Residuals:
     """Return measured minus predicted of one channel, with the phases of the samples."""
-    if channel == 'force':
-        measured, fitted = trial.force, trial.force_fitted
-    else:
-        measured, fitted = trial.height, trial.height_fitted
+    measured, fitted = signals(trial, channel)
     return Residuals(measured.value, measured.value - fitted, phases_at(measured.t, segmentation))
+
+
+def signals(trial: TrialFit, channel: Channel) -> tuple[Signal, FloatArray]:
+    """Return what was measured of one channel, and what the model says of it."""
+    if channel == 'force':
+        return trial.force, trial.force_fitted
+    return trial.height, trial.height_fitted
 
 
 def _misfit(residual: FloatArray, noise: float | None, span: float) -> Misfit:

@@ -17,7 +17,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
+from hapticvision_ros.core.diagnosis.records import Channel, ErrorChange, Misfit, Misfits
 from hapticvision_ros.core.fit.held_out import are_repeats, labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis
 from hapticvision_ros.report.misses import DIMENSIONS, ROUGH, short_name
@@ -65,13 +65,40 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
         tables.append((title, units[DIMENSIONS[channel]].symbol, rows))
     sides = [name for name, _, _ in columns]
     return {
+        'changes': _changes(campaign),
         'sides': [(name, 3 * sides.count(name)) for name in dict.fromkeys(sides)],
         'models': [model for _, model, _ in columns],
         'tables': tables,
+        'titles': [title for _, title in TITLES],
         'held_out_by': campaign.held_out_by,
         'repeats': are_repeats(campaign.trials),
         'diagnosed': campaign.diagnosis is not None and campaign.after is not None,
     }
+
+
+def _changes(campaign: CampaignAnalysis) -> list[tuple[str, list[str]]]:
+    """Return the rows of the table of changes on unseen trials; a cell for each channel."""
+    changes = campaign.changes
+    if changes is None:
+        return []
+    against = campaign.trials if campaign.held_out_by == 'condition' else campaign.held_out
+    channels = [channel for channel, _ in TITLES]
+    found: list[tuple[str, list[ErrorChange | None]]] = [
+        ('All', [changes.total.get(channel) for channel in channels])
+    ]
+    found += [
+        (phase, [changes.by_phase.get((channel, phase)) for channel in channels])
+        for phase in PHASES
+    ]
+    found += [
+        (name, [changes.by_trial.get((name, channel)) for channel in channels])
+        for name in labels(against)
+    ]
+    return [
+        (name, ['' if one is None else format_number(one.chi2, one.std) for one in each])
+        for name, each in found
+        if any(one is not None for one in each)
+    ]
 
 
 def _cells(misfit: Misfit | None, channel: Channel, units: UnitSystem) -> _Cells:
