@@ -46,14 +46,14 @@ class _Compared(NamedTuple):
     """
     Samples of one channel of a trial that two models are held against.
 
-    `step` and `sum` are the residual of the one after less, and with, that of the one before, over
-    the noise of a sample, which is `size`.
+    `step` and `both` are the residual of the one after less, and with, that of the one before,
+    over the noise of a sample, which is `size`.
     """
 
     t: FloatArray
     phase: NDArray[np.intp]
     step: FloatArray
-    sum: FloatArray
+    both: FloatArray
     interval: float
     size: float
 
@@ -74,7 +74,7 @@ class _Compared(NamedTuple):
         step = self.step[inside]
         # Of (a + n)^2 - (b + n)^2 the noise n makes 2 (a - b) n.
         noise = _variance(2.0 * step, self.t[inside], self.interval, sensor) / self.size**2
-        return _Sums(step.size, float(step @ self.sum[inside]), noise)
+        return _Sums(step.size, float(step @ self.both[inside]), noise)
 
 
 def error_changes(
