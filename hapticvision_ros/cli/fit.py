@@ -22,14 +22,15 @@ once so that one correction does.
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import gc
 import json
+import math
 import os
 from pathlib import Path
 import sys
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Final, Self, TextIO, TYPE_CHECKING
 
 from hapticvision_ros.cli.command import check_out
@@ -41,6 +42,13 @@ if TYPE_CHECKING:
     from hapticvision_ros.core.records import Estimate, Trial
     from hapticvision_ros.report.quantities import Unit, UnitSystem
 
+LIMITS: Final = {
+    'slowest': ('slowest push', 'm/s'),
+    'fastest': ('fastest push', 'm/s'),
+    'deepest': ('deepest push', 'm'),
+    'longest_hold': ('longest hold', 's'),
+}
+"""Limits of the cell that can be given, by their names in `design.PushLimits`, and their units."""
 _MOST_NAMED: Final = 5
 _CLEAR_LINE: Final = '\r\x1b[K'
 _NEW_OBJECTS: Final = 100_000
@@ -117,6 +125,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='simulate N campaigns without an effect, such as 50, and tell in how many of them '
         'chance alone has one accepted',
     )
+    for name, (what, unit) in LIMITS.items():
+        parser.add_argument(
+            f'--{name.replace("_", "-")}',
+            type=float,
+            metavar=unit.upper().replace('/', '_'),
+            help=f'{what} of the cell, for the push to make next [{unit}]; near what was done by '
+            'default',
+        )
     parser.add_argument(
         '--units',
         choices=('si', 'paper'),
@@ -141,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     from hapticvision_ros.report.quantities import PAPER_UNITS, SI_UNITS
 
     units = PAPER_UNITS if args.units == 'paper' else SI_UNITS
-    campaign = fit_bags(args.bags, args.hold_out, model, args.bootstrap or 0)
+    campaign = fit_bags(args.bags, args.hold_out, model, args.bootstrap or 0, _limits(args))
     result, report = write_results(args.out, campaign, args.bags, args.hold_out, units)
     print_tables(campaign, units)
     print(f'\nWrote {result} and {report}.')
@@ -160,6 +176,7 @@ def fit_bags(
     hold_out: Sequence[Path],
     model: 'Model | None' = None,
     bootstrap: int = 0,
+    limits: Mapping[str, float] = MappingProxyType({}),
 ) -> 'CampaignAnalysis':
     """
     Read bags and fit them together; what takes long is told on standard error.
@@ -172,6 +189,8 @@ def fit_bags(
         The model to fit instead of looking for what the base model lacks.
     bootstrap : int, default 0
         Campaigns without an effect to simulate.
+    limits : mapping of str to float
+        Known limits of the cell for the next push, as for `analyse_campaign`.
 
     Returns
     -------
@@ -197,6 +216,7 @@ def fit_bags(
             progress=progress,
             workers=len(os.sched_getaffinity(0)),
             bootstrap=bootstrap,
+            limits=limits,
         )
 
 
@@ -296,6 +316,18 @@ def _check(args: argparse.Namespace) -> None:
             raise UsageError(
                 '--bootstrap tests the search for effects, which --model replaces: leave one out.'
             )
+    known = _limits(args)
+    for name, value in known.items():
+        option = f'--{name.replace("_", "-")}'
+        if not (math.isfinite(value) and value > 0.0):
+            raise UsageError(f'{option} {value:g}: give a number above 0.')
+        if args.model is not None:
+            raise UsageError(
+                f'{option} is of the push to make next, which --model does not look for: leave '
+                'one out.'
+            )
+    if known.get('slowest', 0.0) > known.get('fastest', math.inf):
+        raise UsageError('--slowest is above --fastest: exchange them.')
     check_out(args.out)
     # A pattern names those that are held out as well.
     unseen = {bag.resolve() for bag in args.hold_out}
@@ -312,6 +344,11 @@ def _check(args: argparse.Namespace) -> None:
     for folder in (out, *out.parents):
         if (folder / 'metadata.yaml').is_file() and any(folder.glob('*.mcap')):
             raise UsageError(f'--out {args.out} is in the bag {folder}: choose another folder.')
+
+
+def _limits(args: argparse.Namespace) -> dict[str, float]:
+    """Return the limits of the cell that were given."""
+    return {name: value for name in LIMITS if (value := getattr(args, name)) is not None}
 
 
 def _analyse(bags: Sequence[Path]) -> 'list[TrialAnalysis]':

@@ -278,6 +278,7 @@ def analyse_campaign(
     progress: Progress | None = None,
     workers: int = 1,
     bootstrap: int = 0,
+    limits: Mapping[str, float] = MappingProxyType({}),
 ) -> CampaignAnalysis:
     """
     Fit the base model to several analysed trials, and the model that has what it lacks.
@@ -297,6 +298,9 @@ def analyse_campaign(
         Processors.
     bootstrap : int, default 0
         Campaigns without an effect that are simulated to tell what chance does in the diagnosis.
+    limits : mapping of str to float
+        Those limits of the cell for the next push that are known, by the names of
+        `hapticvision_ros.core.diagnosis.design.PushLimits`; near what was done by default.
 
     Returns
     -------
@@ -309,7 +313,7 @@ def analyse_campaign(
     tell = _say_nothing if progress is None else progress
     trials = _named_apart(trials)
     try:
-        before, after, diagnosis, warnings = _fits(trials, model, tell, workers, bootstrap)
+        before, after, diagnosis, warnings = _fits(trials, model, tell, workers, bootstrap, limits)
     except UsageError as error:
         return _nothing_fitted(trials, held_out, Model(), str(error))
     if diagnosis is not None and diagnosis.late:
@@ -344,15 +348,18 @@ def _fits(
     tell: Progress,
     workers: int,
     campaigns: int,
+    limits: Mapping[str, float],
 ) -> 'tuple[Fit, Fit | None, Diagnosis | None, list[str]]':
     """Return the base fit, that with effects, what was found, and what to know of it."""
     from hapticvision_ros.core.composition import Model
     from hapticvision_ros.core.fit.campaign import fit
 
     if model is None:
+        from hapticvision_ros.core.diagnosis.design import PushLimits
         from hapticvision_ros.core.diagnosis.search import diagnose
 
-        found = diagnose(trials, progress=tell, workers=workers)
+        reach = PushLimits.like([each.segmentation for each in trials], limits)
+        found = diagnose(trials, progress=tell, workers=workers, limits=reach)
         if campaigns:
             from hapticvision_ros.core.diagnosis.bootstrap import bootstrap
             from hapticvision_ros.core.fit.campaign import pairs_of

@@ -314,7 +314,7 @@ def _diagnosis(found: Diagnosis) -> dict[str, Any]:
         'unexplained': None
         if rest is None
         else {'share_of_chi2': _number(rest.share_of_chi2), 'where': list(rest.where)},
-        'next_trial': None if found.next_trial is None else _next_trial(found.next_trial),
+        'next_trial': None if found.advice is None else _next_trial(found.advice),
         'bootstrap': None if found.bootstrap is None else _bootstrap(found.bootstrap),
     }
 
@@ -336,6 +336,7 @@ def _next_trial(trial: NextTrial) -> dict[str, Any]:
         'push_speed_m_s': _number(trial.push_speed),
         'depth_m': _number(trial.depth),
         'hold_s': _number(trial.hold_time),
+        'repeats': trial.repeats,
         'separates': list(trial.separates),
         'gain': _number(trial.gain),
         'reason': trial.reason,

@@ -14,7 +14,7 @@
 
 """A diagnosis in plain words, for the command line and the report."""
 
-from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis, NextTrial
+from hapticvision_ros.core.diagnosis.records import Bootstrap, Diagnosis, NextTrial, SCATTER
 from hapticvision_ros.core.effects.declaration import LAW
 from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
 
@@ -57,8 +57,8 @@ def findings(diagnosis: Diagnosis, units: UnitSystem) -> list[str]:
             f'Of the squares that the base model misses beyond the noise, {share}\u00a0% are left.'
         )
         sentences += [f'{where.rstrip(".")}.' for where in diagnosis.unexplained.where]
-    if diagnosis.next_trial is not None:
-        sentences.append(_advice(diagnosis.next_trial, units))
+    if diagnosis.advice is not None:
+        sentences.append(_advice(diagnosis.advice, units))
     return sentences
 
 
@@ -93,13 +93,18 @@ def _advice(trial: NextTrial, units: UnitSystem) -> str:
     depth = format_quantity(trial.depth, units['length'], digits=3)
     hold = format_quantity(trial.hold_time, units['time'], digits=3)
     gain = format_number(trial.gain, digits=2)
+    again = SCATTER in trial.separates
     if len(trial.separates) > 1:
         purpose = f'tell {_listed(trial.separates, "and")} apart, by {gain} standard deviations'
     else:
         purpose = f'sharpen {trial.separates[0]} by a factor of {gain}'
+    times = ''
+    if trial.repeats > 1:
+        times = f', {trial.repeats} times'
+        purpose += ' for each'
     return (
-        f'Push next at {speed}, {depth} deep, and hold for {hold}: expected to {purpose} '
-        f'({trial.reason.rstrip(".")}).'
+        f'Push {"again" if again else "next"} at {speed}, {depth} deep, and hold for {hold}'
+        f'{times}: expected to {purpose} ({trial.reason.rstrip(".")}).'
     )
 
 

@@ -129,7 +129,9 @@ def test_a_named_model_is_fitted_beside_the_base_model(
 def test_without_a_model_the_loop_is_closed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _fit(*SOFT, '--out', tmp_path, '--bootstrap', '1') == 0
+    cell = ('--slowest', '0.003', '--fastest', '0.004', '--deepest', '0.005')
+    cell += ('--longest-hold', '5')
+    assert _fit(*SOFT, '--out', tmp_path, '--bootstrap', '1', *cell) == 0
     shown = capsys.readouterr()
     assert 'What the base model lacks is explained by yield_force.' in shown.out
     assert {'trying yield_force', 'bootstrap 1 of 1'} <= set(shown.err.splitlines())
@@ -139,6 +141,10 @@ def test_without_a_model_the_loop_is_closed(
     assert result['diagnosis']['status'] == 'explained'
     assert result['diagnosis']['effects'] == ['yield_force']
     assert result['diagnosis']['bootstrap']['p_value'] == 0.5
+    push = result['diagnosis']['next_trial']
+    assert 0.003 <= push['push_speed_m_s'] <= 0.004 + 1e-12
+    assert 0.0 < push['depth_m'] <= 0.005 and 0.0 < push['hold_s'] <= 5.0
+    assert push['repeats'] == 1
     assert result['after']['model'] == 'three-element+yield_force'
     assert result['after']['error']['held_out']['force_chi2'] == pytest.approx(1.0, abs=0.1)
     assert '<section id="diagnosis">' in (tmp_path / 'report.html').read_text()
@@ -348,6 +354,23 @@ def test_a_bootstrap_of_nothing_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert _fit(tmp_path / 'missing', '--out', tmp_path, '--bootstrap', *more) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert complaint in error
+
+
+@pytest.mark.parametrize(
+    ('limits', 'complaint'),
+    [
+        (('--fastest', '0'), '--fastest 0: give a number above 0.'),
+        (('--longest-hold', 'inf'), '--longest-hold inf: give a number above 0.'),
+        (('--slowest', '0.2', '--fastest', '0.1'), '--slowest is above --fastest'),
+        (('--deepest', '0.01', *BASE), 'leave one out'),
+    ],
+)
+def test_limits_of_no_cell_are_refused(
+    limits: tuple[str, ...], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _fit(tmp_path / 'missing', '--out', tmp_path, *limits) == 2
     (error,) = capsys.readouterr().err.splitlines()
     assert complaint in error
 

@@ -170,6 +170,15 @@ def test_a_diagnosis_stands_with_all_that_it_says(
         for s in sentences
     )
     assert any('0.200\xa0mm/s, 5.00\xa0mm deep, and hold for 60.0\xa0s' in s for s in sentences)
+    assert found.next_trial is not None
+    thrice = replace(found, next_trial=replace(found.next_trial, repeats=3))
+    (advice,) = (s for s in findings(thrice, SI_UNITS) if s.startswith('Push next at 0.200'))
+    assert 'hold for 60.0\xa0s, 3 times: expected to tell' in advice
+    assert 'by 120 standard deviations for each (they part' in advice
+    again = replace(found.next_trial, separates=('scatter', 'damage'), repeats=4)
+    first = findings(replace(found, repeat=again), SI_UNITS)
+    assert any(s.startswith('Push again at 0.200') and 'scatter and damage' in s for s in first)
+    assert not any(s.startswith('Push next') for s in first)
     names = '4 320', '0.987', 'damage', 'not refitted'
     for text in (*sentences, *found.not_testable, *found.warnings, *names):
         assert re.sub(r'\s+', ' ', text) in section.replace('\u202f', ' ')

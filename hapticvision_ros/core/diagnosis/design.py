@@ -29,14 +29,15 @@ that discriminate between models); V. V. Fedorov, Theory of Optimal Experiments,
 
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
+from types import MappingProxyType
 from typing import Final
 
 from hapticvision_ros.core import parallel
 from hapticvision_ros.core.diagnosis.bootstrap import trial_noise, TrialNoise
-from hapticvision_ros.core.diagnosis.records import NextTrial
+from hapticvision_ros.core.diagnosis.records import NextTrial, SCATTER
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
 from hapticvision_ros.core.fit.campaign import (
     carried,
@@ -64,6 +65,11 @@ _UNLIKELY: Final = 1e-3
 """A model that is less likely to be the right one is not asked."""
 _HARDLY: Final = 2.0
 """Standard deviations below which a push does not tell two effects apart."""
+_CLEARLY: Final = 3.0
+_MOST_REPEATS: Final = 10
+"""Standard deviations at which effects are told apart, and the most pushes that are asked for."""
+_BODY: Final = 3
+"""K1, C1 and C2, whose logarithms come first among the parameters."""
 _LITTLE: Final = 1.02
 """Gain in a parameter's standard error below which a push is not worth its while."""
 _PASSES: Final = 0.01
@@ -92,18 +98,36 @@ class PushLimits:
     longest_hold: float
 
     @classmethod
-    def like(cls, phases: Sequence[Segmentation]) -> 'PushLimits':
-        """Return what is near what has been done: speeds within a factor of three."""
+    def like(
+        cls, phases: Sequence[Segmentation], known: Mapping[str, float] = MappingProxyType({})
+    ) -> 'PushLimits':
+        """
+        Return what is near what has been done: speeds within a factor of three.
+
+        Parameters
+        ----------
+        phases : sequence of Segmentation
+            Of the trials.
+        known : mapping of str to float
+            Those of the limits that are known, by their names.
+
+        """
         speeds = [p.push_speed for p in phases if p.push_speed]
         depths = [reach for p in phases if (reach := p.reach)]
         holds = [p.hold_time for p in phases if p.hold_time is not None]
         longest = max(holds, default=10.0)
-        return cls(
+        near = cls(
             min(speeds, default=1e-3) / 3.0,
             max(speeds, default=1e-3) * 3.0,
             max(depths, default=1e-3),
             3.0 * longest,
         )
+        made = replace(near, **known)
+        if made.slowest <= made.fastest:
+            return made
+        # One of the two is known, and beyond what has been done.
+        speed = known.get('slowest', made.fastest)
+        return replace(made, slowest=speed, fastest=speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +219,69 @@ def suggest(
                 f': hardly. Something rigid in the place of the object, pushed as hard, would '
                 f'show {of_cell[0]} by itself'
             )
-    return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason)
+    repeats = 1
+    if second is not None:
+        # Squares add up from one push to the next.
+        needed = _CLEARLY / max(gain, _CLEARLY / _MOST_REPEATS)
+        repeats = min(max(math.ceil(needed**2), 1), _MOST_REPEATS)
+    return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason, repeats)
+
+
+def push_again(
+    bench: Workbench,
+    found: Refit,
+    phases: Sequence[Segmentation],
+    size: float,
+    rival: str,
+    repeats: int,
+) -> NextTrial | None:
+    """
+    Return the push to repeat, to tell scatter from an effect.
+
+    Parameters
+    ----------
+    bench : Workbench
+        The campaign.
+    found : Refit
+        The model.
+    phases : sequence of Segmentation
+        Of the trials.
+    size : float
+        Standard deviation of the logarithms of K1, C1 and C2, if they scatter.
+    rival : str
+        The effect that may be the cause as well.
+    repeats : int
+        How many repeats tell.
+
+    Returns
+    -------
+    NextTrial or None
+        The one that was made of which two show most of such a scatter in their difference, for how
+        long it takes; None where none goes to one depth and holds there.
+
+    """
+    # Of trials that have no K1, C1 and C2 of their own.
+    problem = Problem(found.model, bench.trials)
+    state = carried(found.problem, found.state, problem)
+    problem.set_noise(found.force_noise, found.height_noise, problem.unsure(state, found.blur))
+    usual = float(np.median([t.t[-1] - t.t[0] for t in bench.trials]))
+    worth = []
+    for index, (trial, shown) in enumerate(zip(bench.trials, phases, strict=True)):
+        if not shown.push_speed or not shown.depth or shown.hold_time is None or shown.whole:
+            continue
+        _, jacobian = problem.reduced(state, index)
+        (shared,) = _beyond_own(jacobian, problem.p, jacobian[:, :_BODY].sum(axis=1))
+        gain = size * math.sqrt(0.5 * float(shared @ shared))
+        push = shown.push_speed, shown.depth, shown.hold_time
+        worth.append((gain**2 / max(float(trial.t[-1] - trial.t[0]), usual), gain, push))
+    if not worth:
+        return None
+    _, gain, push = max(worth)
+    reason = (
+        f'only repeats of one push tell scatter from trial to trial, of about '
+        f'{100.0 * size:.2g} % in K1, C1 and C2, from an effect'
+    )
+    return NextTrial(*push, (SCATTER, rival), gain, reason, repeats)
 
 
 def _apart(

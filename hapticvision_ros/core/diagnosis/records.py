@@ -17,11 +17,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from hapticvision_ros.core.fit.campaign import Fit
 from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import FloatArray
+
+SCATTER: Final = 'scatter'
+"""What trials differ by among themselves, beside the names of effects."""
 
 type Status = Literal['none', 'explained', 'partly_explained', 'unexplained']
 type Channel = Literal['force', 'height']
@@ -300,10 +303,13 @@ class NextTrial:
         The push [m/s, m, s].
     separates : tuple of str
         The two candidates that it is to tell apart, or one parameter that it is to sharpen.
+        `SCATTER` stands for trials that differ among themselves.
     gain : float
-        Expected separation [standard deviations], or factor on the standard error.
+        Expected separation [standard deviations], or factor on the standard error, of one push.
     reason : str
         Why, as a sentence.
+    repeats : int
+        How many times to make it.
 
     """
 
@@ -313,6 +319,7 @@ class NextTrial:
     separates: tuple[str, ...]
     gain: float
     reason: str
+    repeats: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,6 +366,8 @@ class Diagnosis:
         What is left.
     next_trial : NextTrial or None
         What to push next.
+    repeat : NextTrial or None
+        What to push again before, where nothing else tells scatter from an effect.
     before, after : Fit
         The base model and the one with the accepted effects; the same without any.
     warnings : tuple of str
@@ -392,3 +401,9 @@ class Diagnosis:
     laws: tuple[str, ...] = ()
     late: float = 0.0
     contenders: tuple[tuple[str, ...], ...] = ()
+    repeat: NextTrial | None = None
+
+    @property
+    def advice(self) -> NextTrial | None:
+        """Return what to do first."""
+        return self.next_trial if self.repeat is None else self.repeat

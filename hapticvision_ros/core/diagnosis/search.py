@@ -29,7 +29,7 @@ from typing import Final
 
 from hapticvision_ros.core import parallel
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
+from hapticvision_ros.core.diagnosis.design import push_again, PushLimits, suggest
 from hapticvision_ros.core.diagnosis.excess import (
     Bursts,
     bursts,
@@ -282,6 +282,7 @@ def diagnose(
         after=after,
         warnings=outcome.warnings,
         contenders=_contenders(outcome.rounds, outcome.chosen.model.effects),
+        repeat=outcome.repeat,
     )
 
 
@@ -555,6 +556,7 @@ class _Outcome:
     ranking: tuple[Candidate, ...]
     unexplained: Unexplained | None
     next_trial: NextTrial | None
+    repeat: NextTrial | None
     warnings: tuple[str, ...]
     chosen: Refit
     scatter: FloatArray | None
@@ -698,6 +700,7 @@ class _Search:
             ranking=tuple(each for each in ranking if each.effect not in not_testable),
             unexplained=unexplained,
             next_trial=self._next(bench, chosen, rounds, order),
+            repeat=self._again(bench, chosen, rounds, order, unrepeated, scatter),
             warnings=tuple(self.warnings),
             chosen=chosen,
             scatter=scattered,
@@ -921,6 +924,23 @@ class _Search:
                     reason = reason.replace(name, without_law(name))
                 return replace(found, separates=_named(found.separates), reason=reason)
         return suggest(bench, chosen, None, self.phases, self.limits, workers=self.workers)
+
+    def _again(
+        self,
+        bench: Workbench,
+        chosen: Refit,
+        rounds: Sequence[Round],
+        order: Sequence[str],
+        size: float | None,
+        scatter: Scatter | None,
+    ) -> NextTrial | None:
+        """Return the push to repeat where only repeats tell scatter of a size from an effect."""
+        candidates = (*order, *(each.effect for each in rounds[0].candidates))
+        if size is None or not candidates:
+            return None
+        missing = _FEW_REPEATS - (0 if scatter is None else scatter.degrees)
+        rival = without_law(candidates[0])
+        return push_again(bench, chosen, self.phases, size, rival, missing)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
         """Return all candidates beside the base model."""

@@ -15,12 +15,14 @@
 
 """The push to make next."""
 
+from dataclasses import replace
 import math
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
-from hapticvision_ros.core.diagnosis.design import PushLimits, suggest
+from hapticvision_ros.core.diagnosis.design import push_again, PushLimits, suggest
 from hapticvision_ros.core.diagnosis.refit import Refit, Workbench
+from hapticvision_ros.core.fit.campaign import Problem
 from hapticvision_ros.core.records import Segmentation
 from hapticvision_ros.sim.specimen import Undeclared
 import numpy as np
@@ -60,6 +62,60 @@ def test_limits_are_near_what_has_been_done(short: Any) -> None:
     assert limits.longest_hold == pytest.approx(6.0, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ('known', 'slowest', 'fastest', 'deepest', 'longest_hold'),
+    [
+        ({'fastest': 0.009}, 0.004 / 3.0, 0.009, 0.006, 6.0),
+        ({'deepest': 0.010, 'longest_hold': 60.0}, 0.004 / 3.0, 0.018, 0.010, 60.0),
+        # Beyond what has been done, on either side.
+        ({'slowest': 0.050}, 0.050, 0.050, 0.006, 6.0),
+        ({'fastest': 0.001}, 0.001, 0.001, 0.006, 6.0),
+    ],
+)
+def test_limits_that_are_known_count(
+    short: Any,
+    known: dict[str, float],
+    slowest: float,
+    fastest: float,
+    deepest: float,
+    longest_hold: float,
+) -> None:
+    limits = PushLimits.like(short.phases, known)
+    found = limits.slowest, limits.fastest, limits.deepest, limits.longest_hold
+    assert found == pytest.approx((slowest, fastest, deepest, longest_hold), rel=0.05)
+
+
+def test_the_push_that_shows_scatter_most_is_made_again(short: Any) -> None:
+    """As often as asked for; two differ by as much more as the scatter is larger."""
+    bench, first, _ = rivals(short)
+    push = push_again(bench, first, short.phases, 0.01, SECOND, 3)
+    assert push is not None
+    assert push.separates == ('scatter', SECOND)
+    assert push.repeats == 3
+    made = [(each.push_speed, each.depth, each.hold_time) for each in short.phases]
+    assert (push.push_speed, push.depth, push.hold_time) in made
+    larger = push_again(bench, first, short.phases, 0.03, SECOND, 3)
+    assert larger is not None
+    assert larger.gain == pytest.approx(3.0 * push.gain)
+    # As the fit tells a common factor of K1, C1 and C2 from this trial, were it alone.
+    index = made.index((push.push_speed, push.depth, push.hold_time))
+    alone = Problem(first.model, (bench.trials[index],))
+    state = np.concatenate((first.theta, first.state[first.problem.places[index]]))
+    costs = []
+    for factor in (-1e-3, 0.0, 1e-3):
+        alone.set_noise(first.force_noise, first.height_noise, alone.unsure(state, first.blur))
+        moved = state.copy()
+        moved[:3] += factor
+        residual, jacobian = alone.evaluate_trial(moved, 0)
+        own = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+        left = residual + jacobian @ own
+        costs.append(float(left @ left))
+    bent = (costs[0] + costs[2] - 2.0 * costs[1]) / 1e-3**2 / 2.0
+    assert push.gain == pytest.approx(0.01 * math.sqrt(0.5 * bent), rel=0.05)
+    without = [replace(each, t_release=None) for each in short.phases]
+    assert push_again(bench, first, without, 0.01, SECOND, 3) is None
+
+
 @pytest.mark.parametrize('rival', [True, False], ids=['separates', 'sharpens'])
 def test_the_push_stays_within_what_the_cell_can_do(short: Any, rival: bool) -> None:
     bench, first, second = rivals(short)
@@ -72,9 +128,12 @@ def test_the_push_stays_within_what_the_cell_can_do(short: Any, rival: bool) -> 
     if rival:
         assert push.separates == (FIRST, SECOND)
         assert push.gain > 0.0
+        # Until they are three standard deviations apart, ten times at most.
+        assert push.repeats == min(max(math.ceil(9.0 / push.gain**2), 1), 10)
     else:
         assert push.separates[0] in first.model.names
         assert push.gain > 1.0
+        assert push.repeats == 1
 
 
 @pytest.mark.parametrize(('other', 'told'), [('machine_compliance', True), ('yield_force', False)])

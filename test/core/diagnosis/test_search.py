@@ -680,6 +680,8 @@ def test_scatter_between_repeats_is_a_nuisance_and_no_effect(case: Any, world: A
     made = case(None, 1, world.repeated, 0.03)
     found = made.found
     assert found.status == 'none'
+    # Nothing of it is open.
+    assert found.repeat is None and found.advice == found.next_trial
     (warning,) = [each for each in found.warnings if 'repeats of the same push scatter' in each]
     assert '4 differences between repeats' in warning
     sizes = [0.01 * float(part.split()[-2]) for part in warning.split(' in ')[:3]]
@@ -691,8 +693,17 @@ def test_scatter_between_repeats_is_a_nuisance_and_no_effect(case: Any, world: A
 
 
 def test_scatter_without_repeats_is_not_told_from_an_effect(case: Any) -> None:
-    found = case(None, 2, ((0.004, 0.006), (0.012, 0.006), (0.007, 0.003)), 0.03).found
+    pushes = ((0.004, 0.006), (0.012, 0.006), (0.007, 0.003))
+    found = case(None, 2, pushes, 0.03).found
     assert any('cannot be told from an effect' in warning for warning in found.warnings)
+    # Four repeats of a push that was made tell it; each shows 3 % of scatter clearly.
+    push = found.advice
+    assert push is not None and push is found.repeat
+    assert push.repeats == 4
+    assert push.separates[0] == 'scatter'
+    assert push.separates[1] in {each.effect for each in found.ranking}
+    assert (push.push_speed, push.depth) in [pytest.approx(each, rel=0.05) for each in pushes]
+    assert push.gain > 5.0
 
 
 @pytest.mark.parametrize('seed', [8618, 30050], ids=['no repeats', 'one repeat'])
@@ -704,6 +715,9 @@ def test_two_effects_do_not_stand_for_the_scatter_of_three_trials(seed: int) -> 
     found = diagnose([(t, segment(t.force, t.tool_height, t.displacement_height)) for t in trials])
     assert found.effects == ()
     assert any('cannot be told from an effect' in warning for warning in found.warnings)
+    # Of four differences between repeats there is one, or none.
+    assert found.repeat is not None
+    assert found.repeat.repeats == (4 if seed == 8618 else 3)
 
 
 def test_what_comes_first_by_itself_is_not_taken_for_part_of_a_pair(world: Any) -> None:
