@@ -25,6 +25,7 @@ from hapticvision_ros.report.quantities import SI_UNITS, UnitSystem
 from hapticvision_ros.report.sections import (
     caveats,
     diagnosis,
+    effects,
     errors,
     method,
     parameters,
@@ -46,6 +47,7 @@ SECTIONS: Final[tuple[tuple[str, Fill], ...]] = (
     ('caveats', caveats.fill),
     ('trials', trials.fill),
     ('provenance', provenance.fill),
+    ('effects', effects.fill),
     ('method', method.fill),
 )
 """Name of the template and what fills it, in the order of the page."""

@@ -18,6 +18,7 @@ from pathlib import Path
 import re
 
 from hapticvision_ros.core.diagnosis.records import Goes, Leftover, Leftovers
+from hapticvision_ros.core.effects import BY_NAME
 from hapticvision_ros.core.errors import InputError
 from hapticvision_ros.core.pipeline import analyse, analyse_campaign, CampaignAnalysis
 from hapticvision_ros.report.findings import findings
@@ -185,6 +186,24 @@ def test_a_diagnosis_stands_with_all_that_it_says(
     assert sentences[0] in text_of(full.xpath('//section[@id="summary"]')[0])
     (accepted,) = full.xpath('//tr[@class="accepted"]/th')
     assert 'parallel_spring' in accepted.text_content()
+
+
+def test_effects_that_are_named_are_explained(
+    tree: html.HtmlElement, full: html.HtmlElement
+) -> None:
+    rows = full.xpath('//section[@id="effects"]//tbody/tr')
+    names = [row.get('id').removeprefix('effect-') for row in rows]
+    # Accepted, alike, ranked and not testable ones, in the order of the library.
+    known = ['parallel_spring', 'springpot', 'damage', 'ageing', 'clock_offset']
+    assert names == known
+    spring = text_of(rows[0])
+    for effect in (BY_NAME['parallel_spring'],):
+        assert {effect.title, effect.signature, effect.validity} <= set(
+            map(str.strip, rows[0].itertext())
+        )
+        assert all(each.meaning in spring for each in effect.parameters)
+    # Nothing is named where the model was fixed.
+    assert not tree.xpath('//section[@id="effects"]')
 
 
 def test_parameters_stand_before_and_after_with_their_shift(
