@@ -276,6 +276,24 @@ def test_bags_of_which_nothing_is_fitted_are_told_beside_what_they_tell(
     assert result['before']['parameters']['K1']['value'] is None
 
 
+def test_a_turned_sign_is_the_reason_that_no_trial_is_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'turned'
+    with BagWriter(bag) as writer:
+        for index in range(2400):
+            stamp = 10**9 + 5 * 10**6 * index
+            down = min(max(index - 400, 0), 800) if index < 2000 else -400.0
+            writer.write_float64(TOOL_HEIGHT, stamp, 0.05 - 1e-5 * down)
+            pressed = -5.0 * max(down, 0.0) / 800.0 + 0.01 * (-1.0) ** index
+            # The load cell tells how the object pushes the tool: so it pulls.
+            writer.write_wrench(stamp, (0.0, 0.0, -pressed))
+    assert _fit(bag, '--out', tmp_path / 'out') == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert 'turned: no contact was found (the force falls by ' in error
+    assert 'turn its sign)' in error
+
+
 def test_bags_of_one_name_are_told_apart_by_their_paths(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

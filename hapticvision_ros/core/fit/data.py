@@ -1095,7 +1095,9 @@ def _prepare(
     """
     touch, original = phases.t_contact, phases.contact_height
     if touch is None or original is None:
-        return 'no contact was found'
+        # Of a record with a turned sign they say so.
+        why = f' ({"; ".join(phases.warnings)})' if phases.warnings else ''
+        return f'no contact was found{why}'
     force = trial.force.between(-math.inf, np.nextafter(phases.t_end, math.inf))
     tool = trial.tool_height.between(-math.inf, np.nextafter(phases.t_end, math.inf))
     if np.count_nonzero(force.t > touch) < _FEWEST or np.count_nonzero(tool.t > touch) < 4:
