@@ -358,7 +358,9 @@ def _fits(
         from hapticvision_ros.core.diagnosis.design import PushLimits
         from hapticvision_ros.core.diagnosis.search import diagnose
 
-        reach = PushLimits.like([each.segmentation for each in trials], limits)
+        reach = None
+        if limits:
+            reach = PushLimits.like([each.segmentation for each in trials], limits)
         found = diagnose(trials, progress=tell, workers=workers, limits=reach)
         if campaigns:
             from hapticvision_ros.core.diagnosis.bootstrap import bootstrap

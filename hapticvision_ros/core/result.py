@@ -14,7 +14,7 @@
 
 """The content of ``result.json``, schema ``hapticvision/result/1``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from hapticvision_ros.core.diagnosis.records import (
     Diagnosis,
     ErrorChange,
     ErrorChanges,
+    Goes,
     Leftover,
     Leftovers,
     Misfit,
@@ -227,13 +228,20 @@ def _residual(left: Leftovers, bags: Mapping[str, str]) -> dict[str, Any]:
                 'channel': curve.channel,
                 'bag': bags[curve.trial],
                 'phase': curve.phase,
-                'time_s': curve.t.tolist(),
-                f'value_{units[curve.channel]}': curve.value.tolist(),
-                f'std_{units[curve.channel]}': curve.std.tolist(),
+                'time_s': [_number(t) for t in curve.t],
+                f'value_{units[curve.channel]}': [_number(one) for one in curve.value],
+                f'std_{units[curve.channel]}': [_number(one) for one in curve.std],
             }
             for curve in left.curves
         ],
     }
+
+
+_GOES: Final[Mapping[str, Callable[[Goes], float]]] = {
+    'correlation': lambda goes: goes.correlation,
+    'lag_s': lambda goes: goes.lag,
+    'p': lambda goes: goes.chance,
+}
 
 
 def _leftover(
@@ -249,11 +257,12 @@ def _leftover(
         'white_p': _number(of.white),
         'smooth_p': _number(of.smooth),
         'smooth_share': _number(of.share),
-        'depth_correlation': None if of.depth is None else _number(of.depth.correlation),
-        'depth_lag_s': None if of.depth is None else _number(of.depth.lag),
-        'speed_correlation': None if of.speed is None else _number(of.speed.correlation),
-        'speed_lag_s': None if of.speed is None else _number(of.speed.lag),
-        'order_correlation': _number(of.order),
+        **{
+            f'{name}_{key}': None if goes is None else _number(value(goes))
+            for name, goes in (('depth', of.depth), ('speed', of.speed), ('order', of.order))
+            for key, value in _GOES.items()
+            if name != 'order' or key != 'lag_s'
+        },
     }
 
 

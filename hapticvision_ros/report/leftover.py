@@ -14,7 +14,6 @@
 
 """What the models leave of the residual, in plain words."""
 
-import math
 from typing import Final
 
 from hapticvision_ros.core.diagnosis.records import Channel, Goes, Leftover
@@ -24,9 +23,9 @@ from hapticvision_ros.report.quantities import format_number, format_quantity, U
 
 NAMES: Final[dict[Channel, str]] = {'force': 'force', 'height': 'displacement height'}
 _CHANCE: Final = 1e-3
-"""Chance below which a residual is not taken for white, or for without a smooth part."""
-_SIGMAS: Final = 5.0
-"""Correlation times the root of the number of means from which on it is none by chance."""
+"""Chance below which a residual is not taken for white, smooth parts or correlations for none."""
+_LOUD: Final = 1.1
+"""Size from which on it is not for noise that is known a little worse."""
 
 
 def is_coloured(left: Leftover) -> bool:
@@ -39,9 +38,9 @@ def is_smooth(left: Leftover) -> bool:
     return left.smooth is not None and left.smooth < _CHANCE
 
 
-def goes(left: Leftover, correlation: float) -> bool:
+def goes(with_it: Goes | None) -> bool:
     """Return whether it goes with something by more than chance."""
-    return abs(correlation) * math.sqrt(left.blocks) > _SIGMAS
+    return with_it is not None and with_it.chance < _CHANCE
 
 
 def residual_sentences(campaign: CampaignAnalysis, units: UnitSystem) -> list[str]:
@@ -79,11 +78,15 @@ def _sentence(left: Leftover, what: str, model: str, units: UnitSystem) -> str:
         share = _number(100.0 * left.share)
         known.append(f'is smooth over the phases by {share}\u00a0%')
     for name, with_it in (('depth', left.depth), ('speed', left.speed)):
-        if with_it is not None and goes(left, with_it.correlation):
+        if with_it is not None and goes(with_it):
             known.append(f'goes with the {name} of the tool by {_with(with_it, units)}')
-    if left.order is not None and goes(left, left.order):
-        known.append(f'goes with the order of the trials by {_number(left.order)}')
+    if left.order is not None and goes(left.order):
+        known.append(f'goes with the order of the trials by {_number(left.order.correlation)}')
     text = f'What the {model} model leaves of the {what}, whitened, is {size} times its noise'
+    if left.white is None:
+        return f'{text}; there are too few means of samples to tell more.'
+    if not known and left.size > _LOUD:
+        return f'{text}; nothing but its size tells it from white noise.'
     if not known:
         return f'{text}; nothing in it tells it from white noise.'
     return f'{text}; it {", ".join(known)}.'

@@ -305,7 +305,7 @@ def test_what_is_left_is_told_before_and_after_with_a_picture(diagnosed: Campaig
 
 
 def _left(**changes: object) -> Leftover:
-    plain = Leftover(400, 1.01, 0.02, 0.4, 0.6, 0.03, Goes(0.1, 0.0), None, 0.02)
+    plain = Leftover(400, 1.01, 0.02, 0.4, 0.6, 0.03, Goes(0.1, 0.0, 0.4), None, None)
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
@@ -320,16 +320,22 @@ def _left(**changes: object) -> Leftover:
         ),
         (_left(smooth=1e-5, share=0.87), ['smooth over the phases by 87\u00a0%'], ['not white']),
         (
-            _left(speed=Goes(-0.36, 0.512), depth=Goes(0.4, -0.004)),
+            _left(speed=Goes(-0.36, 0.512, 1e-9), depth=Goes(0.4, -0.004, 1e-4)),
             [
                 'with the speed of the tool by \u22120.36 (0.51\u00a0s later)',
                 'depth of the tool by 0.40 (0.0040\u00a0s earlier)',
             ],
             ['order'],
         ),
-        (_left(order=0.31), ['with the order of the trials by 0.31'], ['depth', 'speed']),
+        (
+            _left(order=Goes(0.91, 0.0, 1e-5)),
+            ['with the order of the trials by 0.91'],
+            ['depth', 'speed'],
+        ),
+        (_left(size=1.3), ['1.3 times its noise; nothing but its size tells it'], ['nothing in']),
+        (_left(white=None, size=2.0), ['too few means of samples'], ['nothing']),
         # By chance, with so few.
-        (_left(blocks=64, depth=Goes(0.5, 0.0)), ['nothing in it'], []),
+        (_left(blocks=64, depth=Goes(0.5, 0.0, 0.01)), ['nothing in it'], []),
     ],
 )
 def test_what_is_left_is_told_in_words_where_it_is_beyond_chance(

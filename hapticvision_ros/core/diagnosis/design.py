@@ -68,6 +68,8 @@ _HARDLY: Final = 2.0
 _CLEARLY: Final = 3.0
 _MOST_REPEATS: Final = 10
 """Standard deviations at which effects are told apart, and the most pushes that are asked for."""
+_AS_MEASURED: Final = 1.02
+"""What speed, depth and hold of a push may be beyond a limit as they are measured."""
 _BODY: Final = 3
 """K1, C1 and C2, whose logarithms come first among the parameters."""
 _LITTLE: Final = 1.02
@@ -128,6 +130,15 @@ class PushLimits:
         # One of the two is known, and beyond what has been done.
         speed = known.get('slowest', made.fastest)
         return replace(made, slowest=speed, fastest=speed)
+
+    def allow(self, push_speed: float, depth: float, hold_time: float) -> bool:
+        """Return whether a push that was made, as it was measured, is within the limits."""
+        return (
+            push_speed <= self.fastest * _AS_MEASURED
+            and push_speed * _AS_MEASURED >= self.slowest
+            and depth <= self.deepest * _AS_MEASURED
+            and hold_time <= self.longest_hold * _AS_MEASURED
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,8 +233,10 @@ def suggest(
     repeats = 1
     if second is not None:
         # Squares add up from one push to the next.
-        needed = _CLEARLY / max(gain, _CLEARLY / _MOST_REPEATS)
-        repeats = min(max(math.ceil(needed**2), 1), _MOST_REPEATS)
+        needed = (_CLEARLY / max(gain, _CLEARLY / _MOST_REPEATS)) ** 2
+        # So many that hardly tell the two apart are not asked for.
+        if gain * math.sqrt(_MOST_REPEATS) >= _HARDLY:
+            repeats = min(max(math.ceil(needed), 1), _MOST_REPEATS)
     return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason, repeats)
 
 
@@ -234,6 +247,7 @@ def push_again(
     size: float,
     rival: str,
     repeats: int,
+    limits: PushLimits | None = None,
 ) -> NextTrial | None:
     """
     Return the push to repeat, to tell scatter from an effect.
@@ -252,12 +266,14 @@ def push_again(
         The effect that may be the cause as well.
     repeats : int
         How many repeats tell.
+    limits : PushLimits, optional
+        What the cell can do; what has been done by default.
 
     Returns
     -------
     NextTrial or None
         The one that was made of which two show most of such a scatter in their difference, for how
-        long it takes; None where none goes to one depth and holds there.
+        long it takes; None where none goes to one depth within the limits and holds there.
 
     """
     # Of trials that have no K1, C1 and C2 of their own.
@@ -269,10 +285,13 @@ def push_again(
     for index, (trial, shown) in enumerate(zip(bench.trials, phases, strict=True)):
         if not shown.push_speed or not shown.depth or shown.hold_time is None or shown.whole:
             continue
-        _, jacobian = problem.reduced(state, index)
-        (shared,) = _beyond_own(jacobian, problem.p, jacobian[:, :_BODY].sum(axis=1))
-        gain = size * math.sqrt(0.5 * float(shared @ shared))
         push = shown.push_speed, shown.depth, shown.hold_time
+        if limits is not None and not limits.allow(*push):
+            continue
+        _, jacobian = problem.reduced(state, index)
+        # Each of the three scatters by itself, in both trials, which have noise both.
+        (shared,) = _beyond_own(jacobian, problem.p, jacobian[:, :_BODY])
+        gain = size * math.sqrt(float(np.sum(shared**2)))
         worth.append((gain**2 / max(float(trial.t[-1] - trial.t[0]), usual), gain, push))
     if not worth:
         return None

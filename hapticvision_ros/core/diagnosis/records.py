@@ -78,19 +78,22 @@ class Misfits:
 
 class Goes(NamedTuple):
     """
-    How a residual goes with what the tool does.
+    How a residual goes with something.
 
     Parameters
     ----------
     correlation : float
-        Largest correlation of the two, both whitened by the noise of the sensor, at any lag [-].
+        Largest correlation at any lag, both whitened by the noise of the sensor [-].
     lag : float
         By how much the residual comes later there [s].
+    chance : float
+        Chance that noise which is as much alike from one mean to the next goes with it as much.
 
     """
 
     correlation: float
     lag: float
+    chance: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +116,9 @@ class Leftover:
     share : float or None
         Part of the squares, before whitening, that these curves take out [-].
     depth, speed : Goes or None
-        How it goes with the depth and with the speed of a tool that touches.
-    order : float or None
-        Correlation of its means over each phase of a trial with the order of the trials [-].
+        How it goes with depth and speed of a tool that touches, each about its mean over a phase.
+    order : Goes or None
+        How its means over the trials, from the touch on, go with their order; None of few trials.
 
     """
 
@@ -127,7 +130,7 @@ class Leftover:
     share: float | None
     depth: Goes | None
     speed: Goes | None
-    order: float | None
+    order: Goes | None
 
 
 @dataclass(frozen=True, slots=True)

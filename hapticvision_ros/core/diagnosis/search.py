@@ -940,7 +940,7 @@ class _Search:
             return None
         missing = _FEW_REPEATS - (0 if scatter is None else scatter.degrees)
         rival = without_law(candidates[0])
-        return push_again(bench, chosen, self.phases, size, rival, missing)
+        return push_again(bench, chosen, self.phases, size, rival, missing, self.limits)
 
     def _ranking(self, bench: Workbench, base: Refit, first: Round) -> tuple[Candidate, ...]:
         """Return all candidates beside the base model."""

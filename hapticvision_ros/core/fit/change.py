@@ -66,7 +66,11 @@ class _Compared(NamedTuple):
         t, mine, its = np.intersect1d(measured.t, again.t, return_indices=True)
         before = (measured.value - fitted)[mine] / size
         after = (again.value - other)[its] / size
-        interval = float(np.median(np.diff(t))) if t.size > 1 else 1.0
+        # Samples may come in bursts, of which there are a few to an interval then.
+        span = float(t[-1] - t[0]) if t.size > 1 else 1.0
+        interval = max(
+            float(np.median(np.diff(t))) if t.size > 1 else 1.0, span / (4 * t.size or 1)
+        )
         return cls(t, phases_at(t, phases), after - before, after + before, interval, size)
 
     def summed(self, inside: NDArray[np.bool_], sensor: SensorNoise) -> _Sums:

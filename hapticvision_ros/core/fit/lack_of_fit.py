@@ -58,6 +58,7 @@ from hapticvision_ros.core.fit.noise_model import (
     louder,
     Record,
     SensorNoise,
+    Whitener,
     whitener,
 )
 from hapticvision_ros.core.records import FloatArray, Segmentation
@@ -77,10 +78,12 @@ _UNLIKELY: Final = 1e-3
 """Chance of what smooth curves take out of noise, below which they have a part of it."""
 _LOUDER: Final = 1.1
 """Noise in contact over that which chi squared refers to, from which on it is no noise alone."""
+_ALIKE: Final = 1.5
+"""Noise before the touch over the latter, or the other way round, at most, to be that noise."""
 _FEW: Final = 8
 _CLEAR: Final = 2.0
 """Means of samples before the touch that tell anything, and samples next to it that do not."""
-_FEW_TRIALS: Final = 3
+_FEW_TRIALS: Final = 5
 """Trials from which on their order may go with something."""
 _LONGEST: Final = 1.0
 """Lag of the residual behind the tool, or before it, that is looked for at most [s]."""
@@ -108,6 +111,13 @@ class _Record(NamedTuple):
     trial: FitTrial
     segmentation: Segmentation
     interval: float
+
+    @property
+    def begins(self) -> dict[Phase, float | None]:
+        """Return when the phases from the touch on begin [s]."""
+        phases = self.segmentation
+        times = phases.t_contact, phases.t_hold, phases.t_release, phases.t_loss
+        return dict(zip(PHASES[1:], times, strict=True))
 
 
 class _Curve(NamedTuple):
@@ -177,14 +187,19 @@ def sensor_noise(
         quiet = start
         if corners and _chance(taken, corners) < _UNLIKELY:
             bare = [_without(each, of) for each, of in zip(records, curves, strict=True)]
-            quiet = estimate(bare, start, interval, longest=longest)
-        if quiet.std > _LOUDER * most:
+            blocks = sum(int(np.count_nonzero(each.blocks.count)) for each in records)
+            # What the corners have taken out of the noise itself.
+            lost = math.sqrt(blocks / max(blocks - corners, 1))
+            quiet = louder(estimate(bare, start, interval, longest=longest), lost)
+        loud = math.hypot(quiet.white, quiet.slow) / most
+        if loud > _LOUDER:
             # What is neither smooth nor noise would pass for slow noise.
             air = [one for one in map(_before_contact, records) if one is not None]
-            if sum(one.residual.size for one in air) >= _FEWEST:
-                quiet = estimate(air, quiet, interval, longest=longest)
-            else:
-                quiet = louder(quiet, most / quiet.std)
+            told = sum(one.residual.size for one in air) >= _FEWEST
+            still = estimate(air, quiet, interval, longest=longest) if told else quiet
+            # A sensor may read one and the same before the touch.
+            quieter = most / _ALIKE < math.hypot(still.white, still.slow) < _ALIKE * most
+            quiet = still if quieter else louder(quiet, 1.0 / loud)
         found[channel] = quiet
     return found
 
@@ -240,7 +255,7 @@ def lack_of_fit(
         for each in found:
             if each.curve is not None:
                 t, value, std = each.curve[2:5]
-                since = t - t[0]
+                since = t - (record.begins[each.phase] or 0.0)
                 curves.append(
                     SmoothCurve(record.label, record.channel, each.phase, since, value, std)
                 )
@@ -300,28 +315,43 @@ def _curves(record: _Record, noise: SensorNoise) -> list[_Curve]:
     found = []
     for index, phase in enumerate(PHASES[1:], start=1):
         inside = (record.phase == index) & (record.blocks.count > 0.0)
-        count = int(np.count_nonzero(inside))
-        parts = next(
-            (each for each in (_CORNERS, _FEW_CORNERS) if count >= _PER_CORNER * each.size), None
+        curve = next(
+            (
+                curve
+                for parts in (_CORNERS, _FEW_CORNERS)
+                if (curve := _curve(record, phase, inside, parts, white, residual)) is not None
+            ),
+            None,
         )
-        if parts is None:
-            continue
-        t = record.t[inside]
-        corners = t[0] + parts * (t[-1] - t[0])
-        hats = np.zeros((parts.size, record.t.size))
-        for k in range(parts.size):
-            hats[k, inside] = np.interp(t, corners, np.eye(parts.size)[k])
-        left, singular, right = np.linalg.svd(white(hats), full_matrices=False)
-        told = singular > _TOLD * singular[0]
-        # A corner without a sample near it is told by no other.
-        if not told.all():
-            continue
-        along = right @ residual
-        value = left @ (along / singular)
-        std = np.sqrt(np.sum((left / singular) ** 2, axis=1))
-        squares = float(along @ along)
-        found.append(_Curve(phase, inside, corners, value, std, squares, parts.size))
+        if curve is not None:
+            found.append(curve)
     return found
+
+
+def _curve(
+    record: _Record,
+    phase: Phase,
+    inside: NDArray[np.bool_],
+    parts: FloatArray,
+    white: Whitener,
+    residual: FloatArray,
+) -> _Curve | None:
+    """Return the smooth curve with corners at parts of a phase; None where these are not told."""
+    if np.count_nonzero(inside) < _PER_CORNER * parts.size:
+        return None
+    t = record.t[inside]
+    corners = t[0] + parts * (t[-1] - t[0])
+    hats = np.zeros((parts.size, record.t.size))
+    for k in range(parts.size):
+        hats[k, inside] = np.interp(t, corners, np.eye(parts.size)[k])
+    left, singular, right = np.linalg.svd(white(hats), full_matrices=False)
+    # A corner without a sample near it is told by no other.
+    if singular[-1] <= _TOLD * singular[0]:
+        return None
+    along = right @ residual
+    value = left @ (along / singular)
+    std = np.sqrt(np.sum((left / singular) ** 2, axis=1))
+    return _Curve(phase, inside, corners, value, std, float(along @ along), parts.size)
 
 
 def _summed(record: _Record, noise: SensorNoise) -> list[_Sums]:
@@ -363,9 +393,10 @@ def _summed(record: _Record, noise: SensorNoise) -> list[_Sums]:
 
 def _lags(interval: float) -> FloatArray:
     """Return the lags at which a residual is held against the tool [s]."""
-    later = [0.0]
-    while not later[-1] or _TIMES * later[-1] <= _LONGEST:
-        later.append(_TIMES * later[-1] or interval)
+    later, lag = [0.0], interval
+    while 0.0 < lag <= _LONGEST:
+        later.append(lag)
+        lag *= _TIMES
     return np.array([*(-lag for lag in later[:0:-1]), *later])
 
 
@@ -390,7 +421,7 @@ def _leftover(parts: Sequence[_Sums]) -> Leftover:
         free = count - np.arange(1, _LAGS + 1)
         # Ljung and Box, of blocks of several records: pairs across two of them are left out.
         white = _chance(count * (count + 2.0) * float(np.sum(alike**2 / free)), _LAGS)
-        depth, speed = _goes_with(parts)
+        depth, speed = _goes_with(parts, alike)
         order = _goes_with_order(parts)
     curves = [each.curve for each in parts if each.curve is not None]
     if curves:
@@ -404,51 +435,71 @@ def _leftover(parts: Sequence[_Sums]) -> Leftover:
     )
 
 
-def _goes_with(parts: Sequence[_Sums]) -> tuple[Goes | None, Goes | None]:
-    """Return how a residual goes with depth and speed of the tool, each about its mean."""
+def _goes_with(parts: Sequence[_Sums], alike: FloatArray) -> tuple[Goes | None, Goes | None]:
+    """
+    Return how a residual goes with depth and speed of the tool, each about its mean over a phase.
+
+    What differs from trial to trial is no evidence: there are few of them. `alike` is how one mean
+    goes with those after it.
+    """
     shape = parts[0].inputs.shape[1:]
     size, inputs, products = np.zeros((3, *shape))
-    own = 0.0
-    for phase in PHASES[1:]:
-        mine = [each for each in parts if each.phase == phase]
-        count = sum(each.count for each in mine)
-        if count < 2:
+    own, count = 0.0, 0
+    for each in parts:
+        if each.phase == PHASES[0] or each.count < 2:
             continue
-        total = sum(each.total for each in mine)
-        sums, squares, with_it = np.sum([each.inputs for each in mine], axis=0)
-        own += sum(each.squares for each in mine) - total**2 / count
+        sums, squares, with_it = each.inputs
+        count += each.count
+        own += each.squares - each.total**2 / each.count
         size += squares
-        inputs += squares - sums**2 / count
-        products += with_it - sums * total / count
+        inputs += squares - sums**2 / each.count
+        products += with_it - sums * each.total / each.count
     found: list[Goes | None] = []
     lags = _lags(parts[0].record.interval)
-    moves = inputs > _MOVES * size
-    scale = np.sqrt(np.where(moves, inputs, 1.0) * (own or 1.0))
+    moves = (inputs > _MOVES * size) & (own > 0.0)
+    scale = np.sqrt(np.where(moves, inputs * own, 1.0))
+    # As many as are independent, beside an input that goes slowly.
+    free = count / _bunched(alike)
     for correlation in np.where(moves, products / scale, 0.0):
         most = int(np.argmax(np.abs(correlation)))
-        known = correlation[most] != 0.0
-        found.append(Goes(float(correlation[most]), float(lags[most])) if known else None)
+        value = float(correlation[most])
+        chance = min(lags.size * math.erfc(abs(value) * math.sqrt(0.5 * free)), 1.0)
+        known = value != 0.0 and math.isfinite(value)
+        found.append(Goes(value, float(lags[most]), chance) if known else None)
     return found[0], found[1]
 
 
-def _goes_with_order(parts: Sequence[_Sums]) -> float | None:
-    """Return how the means of a residual go with the order of the trials; None of few trials."""
-    times = sorted({each.record.trial.campaign_time for each in parts})
-    if len(times) < _FEW_TRIALS:
-        return None
-    own = ranks = products = 0.0
+def _bunched(alike: FloatArray) -> float:
+    """Return how many means count as one, by how alike those are that follow one another."""
+    first, last = (max(float(one), 0.0) for one in alike[[0, -1]])
+    total = 1.0 + 2.0 * float(np.sum(np.maximum(alike, 0.0)))
+    if 0.0 < last < first < 1.0:
+        # Beyond the lags that were looked at, as it has fallen so far.
+        fall = (last / first) ** (1.0 / (alike.size - 1))
+        total += 2.0 * last * fall / (1.0 - fall)
+    return total
+
+
+def _goes_with_order(parts: Sequence[_Sums]) -> Goes | None:
+    """Return how the means over the trials go with their order; None of few trials."""
+    means: dict[float, list[float]] = {}
     for phase in PHASES[1:]:
         mine = [each for each in parts if each.phase == phase]
-        if not mine:
-            continue
-        rank = np.array([times.index(each.record.trial.campaign_time) for each in mine])
-        count = np.array([each.count for each in mine])
-        total = np.array([each.total for each in mine])
-        mean = float(rank @ count) / float(count.sum())
-        own += sum(each.squares for each in mine) - float(total.sum()) ** 2 / float(count.sum())
-        ranks += float((rank - mean) ** 2 @ count)
-        products += float((rank - mean) @ total)
-    return products / math.sqrt(own * ranks) if own > 0.0 and ranks > 0.0 else None
+        count = sum(each.count for each in mine)
+        for each in mine:
+            off = each.total - each.count * sum(one.total for one in mine) / count
+            of = means.setdefault(each.record.trial.campaign_time, [0.0, 0.0])
+            of[0] += off
+            of[1] += each.count
+    mean = np.array([total / count for _, (total, count) in sorted(means.items())])
+    if mean.size < _FEW_TRIALS:
+        return None
+    rank = np.arange(mean.size) - 0.5 * (mean.size - 1)
+    scale = math.sqrt(float(np.sum((mean - mean.mean()) ** 2) * np.sum(rank**2)))
+    value = float(rank @ mean) / scale if scale > 0.0 else 0.0
+    # Fisher's transformation; each trial counts once, however well its mean is known.
+    deviate = math.atanh(min(abs(value), 1.0 - 1e-12)) * math.sqrt(mean.size - 3.0)
+    return Goes(value, 0.0, math.erfc(deviate / math.sqrt(2.0)))
 
 
 def _chance(squares: float, count: int) -> float:

@@ -94,9 +94,9 @@ def _cells(left: Leftover | None, units: UnitSystem) -> tuple[_Cell, ...]:
         _Cell(format_number(left.size, digits=ROUGH), False),
         _Cell(_optional(left.neighbours), is_coloured(left)),
         _Cell(_optional(None if left.share is None else 100.0 * left.share), is_smooth(left)),
-        _with(left, left.depth, units),
-        _with(left, left.speed, units),
-        _Cell(_optional(left.order), left.order is not None and goes(left, left.order)),
+        _with(left.depth, units),
+        _with(left.speed, units),
+        _with(left.order, units),
     )
 
 
@@ -104,12 +104,12 @@ def _optional(value: float | None) -> str:
     return '' if value is None else format_number(value, digits=ROUGH)
 
 
-def _with(left: Leftover, with_it: Goes | None, units: UnitSystem) -> _Cell:
-    """Return a correlation with what the tool does, and its lag where it is beyond chance."""
+def _with(with_it: Goes | None, units: UnitSystem) -> _Cell:
+    """Return a correlation with something, and its lag where it is beyond chance."""
     if with_it is None:
         return _Cell('', False)
     text = format_number(with_it.correlation, digits=ROUGH)
-    told = goes(left, with_it.correlation)
+    told = goes(with_it)
     if told and with_it.lag:
         text += f' ({format_quantity(with_it.lag, units["time"], digits=ROUGH)})'
     return _Cell(text, told)

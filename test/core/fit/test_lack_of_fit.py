@@ -16,6 +16,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 from hapticvision_ros.core.composition import Model
@@ -95,9 +96,8 @@ def test_of_a_model_that_lacks_nothing_noise_is_left(right: Fit, campaign: list[
         assert each.size == pytest.approx(1.0, abs=0.12)
         assert each.white > 1e-3
         assert each.smooth is None or each.smooth > 1e-3
-        for goes in (each.depth, each.speed):
-            assert goes is None or abs(goes.correlation) < 5.0 / np.sqrt(each.blocks)
-        assert each.order is None or abs(each.order) < 5.0 / np.sqrt(each.blocks)
+        for goes in (each.depth, each.speed, each.order):
+            assert goes is None or goes.chance > 1e-3
     assert left.total['force'].size == pytest.approx(1.0, abs=0.03)
     beyond = [
         abs(one) > 4.0 * std for c in left.curves for one, std in zip(c.value, c.std, strict=True)
@@ -232,13 +232,80 @@ def test_trials_need_not_be_of_one_rate(campaign: list[Pair]) -> None:
     assert steps == pytest.approx(round(steps))
 
 
-def test_what_grows_from_trial_to_trial_goes_with_their_order(leaves: Callable[..., Any]) -> None:
-    left = leaves(lambda trial, index: 0.004 * index * (trial.middle > trial.t_contact))
-    total = left.total['force']
-    assert total.order * np.sqrt(total.blocks) > 8.0
-    assert left.by_trial['trial_1', 'force'].order is None
-    steady = leaves(lambda trial, _: 0.006 * (trial.middle > trial.t_contact)).total['force']
-    assert abs(steady.order) * np.sqrt(steady.blocks) < 5.0
+def _of_trials(levels: list[float], noise: float = 1e-3) -> Any:
+    """Return the sums of one phase of as many trials, whose means are given."""
+    sums = []
+    for index, level in enumerate(levels):
+        trial: Any = SimpleNamespace(campaign_time=600.0 * index)
+        record: Any = SimpleNamespace(trial=trial, interval=0.01, channel='force')
+        nothing, count = np.zeros(10), 100
+        inputs = np.zeros((3, 2, module._lags(0.01).size))
+        squares = count * (level**2 + noise**2)
+        of = count, count * level, squares, nothing, inputs
+        sums.append(module._Sums(record, 'hold', *of, None, squares, squares))
+    return sums
+
+
+def test_a_correlation_is_worth_less_where_means_are_alike() -> None:
+    """0.3 of 1000 means of white noise are none by chance; 1 in 66 of a slow noise may be."""
+    (sums,) = _of_trials([0.0], noise=1.0)
+    middle = sums.inputs.shape[2] // 2
+    inputs = np.zeros(sums.inputs.shape)
+    inputs[1, 1] = 100.0
+    inputs[2, 1, middle] = 30.0
+    parts = [replace(sums, inputs=inputs) for _ in range(10)]
+    for alike, least, most in (
+        (np.zeros(10), 0.0, 1e-18),
+        (0.97 ** np.arange(1.0, 11.0), 1e-3, 1.0),
+        (-0.5 * np.ones(10), 0.0, 1e-18),
+    ):
+        depth, speed = module._goes_with(parts, alike)
+        assert depth is None and speed is not None
+        assert (speed.correlation, speed.lag) == (pytest.approx(0.3), 0.0)
+        assert least <= speed.chance <= most
+    assert module._bunched(0.97 ** np.arange(1.0, 11.0)) == pytest.approx(1.97 / 0.03)
+
+
+def test_what_grows_from_trial_to_trial_goes_with_their_order() -> None:
+    growing = module._goes_with_order(_of_trials([0.0, 0.1, 0.19, 0.31, 0.4, 0.5, 0.61, 0.7]))
+    assert growing is not None
+    assert growing.correlation > 0.99 and growing.chance < 1e-6
+    falling = module._goes_with_order(_of_trials([0.5, 0.4, 0.31, 0.19, 0.1, 0.0]))
+    assert falling is not None and falling.correlation < -0.99
+    # A few trials go with anything.
+    assert module._goes_with_order(_of_trials([0.0, 0.1, 0.2, 0.3])) is None
+
+
+def test_levels_without_an_order_go_with_none_however_well_they_are_known() -> None:
+    random = np.random.default_rng(3)
+    told = 0
+    for _ in range(400):
+        found = module._goes_with_order(_of_trials(random.standard_normal(6).tolist()))
+        assert found is not None
+        told += found.chance < 0.05
+    assert 8 <= told <= 36
+
+
+def test_levels_of_trials_and_slow_noise_do_not_go_with_the_tool(
+    leaves: Callable[..., Any], right: Fit
+) -> None:
+    """A level of each trial, and noise that goes on for longer than is allowed for."""
+    random = np.random.default_rng(11)
+    told = 0
+    for _ in range(40):
+        levels = 0.02 * random.standard_normal(len(right.problem.trials))
+        slow = [
+            0.02 * lfilter([np.sqrt(1.0 - 0.97**2)], [1.0, -0.97], random.standard_normal(9000))
+            for _ in levels
+        ]
+
+        def beside(trial: Any, index: int, slow: Any = slow, levels: Any = levels) -> Any:
+            contact = trial.middle > trial.t_contact
+            return slow[index][: trial.middle.size] + levels[index] * contact
+
+        total = leaves(beside).total['force']
+        told += (total.depth.chance < 1e-3) + (total.speed.chance < 1e-3)
+    assert told <= 4
 
 
 def test_what_is_smooth_does_not_pass_for_slow_noise(
@@ -278,6 +345,17 @@ def test_what_is_neither_smooth_nor_noise_does_not_pass_for_noise(
     assert noise['force'].std == pytest.approx(FORCE_NOISE, rel=0.1)
     assert noise['force'].correlation_time == pytest.approx(MEMORY, rel=0.5)
     assert lack_of_fit(right, campaign, noise).total['force'].white < 1e-12
-    # Where hardly anything is seen before the touch, as large as chi squared refers to.
-    monkeypatch.setattr(module, '_FEWEST', 10_000)
+    # Where hardly anything is seen before the touch, or one and the same reading, as large as chi
+    # squared refers to.
+    with monkeypatch.context() as few:
+        few.setattr(module, '_FEWEST', 10_000)
+        found = sensor_noise(right, campaign, level)
+        assert found['force'].std == pytest.approx(level.force.value)
+    known_air = module._before_contact
+
+    def still(record: Any) -> Any:
+        made = known_air(record)
+        return made and replace(made, residual=np.full(made.residual.size, 0.05))
+
+    monkeypatch.setattr(module, '_before_contact', still)
     assert sensor_noise(right, campaign, level)['force'].std == pytest.approx(level.force.value)
