@@ -82,8 +82,8 @@ def change(bench: Workbench, base: Refit, problem: Problem, state: FloatArray) -
     """
     result = []
     for index in range(len(bench.trials)):
-        force, height = problem.residual(state, index)
-        base_force, base_height = base.problem.residual(base.state, index)
+        force, height = bench.residual(problem, state, index)
+        base_force, base_height = bench.residual(base.problem, base.state, index)
         result.append(
             Columns((base_force - force)[np.newaxis], (base_height - height)[np.newaxis])
         )

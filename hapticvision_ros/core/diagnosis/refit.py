@@ -368,6 +368,13 @@ class Workbench:
         others = _best_of_others([each.state for each in left], _BEST)
         return Look(problem, (*left[:_BEST], *(left[k] for k in others)), promise)
 
+    def residual(
+        self, problem: Problem, state: FloatArray, index: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return measured minus predicted force and height of a trial, block by block."""
+        # The bench may have other measurements of the trials than those of the problem.
+        return problem.residual(state, index, self.trials[index])
+
     def smooth(self, found: Refit, columns: Sequence[Columns], *, again: bool) -> Smooth:
         """
         Let curves take what they can out of the residual of a model, which may move as well.
@@ -598,7 +605,7 @@ class Workbench:
         def left(state: FloatArray) -> float:
             total = 0.0
             for index, (of_force, of_height) in enumerate(filters):
-                force, height = problem.residual(state, index)
+                force, height = self.residual(problem, state, index)
                 white = of_force(force[np.newaxis])[0]
                 total += float(white @ white)
                 if of_height is not None:
@@ -676,7 +683,7 @@ class Workbench:
             if not turn:
                 end = problem.search_on(end)
             state = end.theta
-            left = [problem.residual(state, index) for index in range(len(self.trials))]
+            left = [self.residual(problem, state, index) for index in range(len(self.trials))]
             force, height = self._most_likely(left, force, height, problem.unsure(state, blur))
             blur = blur if blurred else problem.sharpest(state, force, blur)
             jumps = problem.unsure(state, blur)

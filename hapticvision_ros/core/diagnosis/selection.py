@@ -574,7 +574,7 @@ def _told_by_heights(bench: Workbench, refit: Refit) -> float:
     filters = bench.whiteners(refit.force_noise, refit.height_noise, refit.jumps)
     for index, (_, white) in enumerate(filters):
         if white is not None:
-            residual = refit.problem.residual(refit.state, index)[1]
+            residual = bench.residual(refit.problem, refit.state, index)[1]
             told += float(np.sum(white(residual[np.newaxis]) ** 2)) + white.log_determinant
     return told
 
@@ -637,7 +637,7 @@ def _by_place(
     release = stop = seen = 0.0
     filters = bench.whiteners(like.force_noise, like.height_noise, like.jumps)
     for index, (trial, (white, _)) in enumerate(zip(bench.trials, filters, strict=True)):
-        residual, _ = refit.problem.residual(refit.state, index)
+        residual, _ = bench.residual(refit.problem, refit.state, index)
         told = white.weight > 0.0
         parts = np.zeros(told.size)
         parts[told] = (white(residual[np.newaxis])[0] ** 2)[told]
@@ -999,7 +999,7 @@ def told_by_one_step(bench: Workbench, without: Refit, refit: Refit) -> float:
     # Beside the noise of a model that explains much, each step without it is far off.
     filters = bench.whiteners(without.force_noise, without.height_noise, without.jumps)
     for index, (white, _) in enumerate(filters):
-        left = [each.problem.residual(each.state, index)[0] for each in (without, refit)]
+        left = [bench.residual(each.problem, each.state, index)[0] for each in (without, refit)]
         before, after = white(np.array(left)) ** 2
         most = max(most, float(np.max(before - after, initial=0.0)))
     return most

@@ -339,7 +339,7 @@ def _described(
             continue
         inside = (t >= start) & (t < stop)
         taken = smooth.force[index] if force else smooth.height[index]
-        left = found.problem.residual(found.state, index)[0 if force else 1]
+        left = bench.residual(found.problem, found.state, index)[0 if force else 1]
         weights.append((trial.force_count if force else trial.height_count)[inside])
         values.append(taken[inside])
         residuals.append(left[inside])

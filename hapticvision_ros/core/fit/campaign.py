@@ -681,9 +681,15 @@ class Problem:
         height[-1] = prediction.height + height_zero - trial.height
         return force, height
 
-    def residual(self, state: FloatArray, index: int) -> tuple[FloatArray, FloatArray]:
-        """Return measured minus predicted force and height of a trial, block by block."""
-        trial = self.trials[index]
+    def residual(
+        self, state: FloatArray, index: int, measured: FitTrial | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """
+        Return measured minus predicted force and height of a trial, block by block.
+
+        The trial is its own, unless other measurements in the same blocks are given.
+        """
+        trial = self.trials[index] if measured is None else measured
         prediction = self.predict(state, index, directions=False)
         _, force_zero, height_zero = self.own(state, index)
         return (
