@@ -67,7 +67,7 @@ _FEWEST_ON_THE_WAY: Final = 16
 """Copies of a tool that moves, at least."""
 _RECOVERS: Final = 4
 """Heights after the last copy, from which on the surface is seen to come back."""
-_NAMES: Final[Mapping['Channel', str]] = MappingProxyType(
+CHANNEL_NAMES: Final[Mapping['Channel', str]] = MappingProxyType(
     {'force': 'force', 'height': 'displacement height'}
 )
 _BY_CHANCE: Final = 2.0
@@ -490,7 +490,7 @@ def _passed_for_noise(model: 'FittedModel', diagnosis: 'Diagnosis') -> list[str]
     if model.train is None or model.fit is None or diagnosis.unexplained is not None:
         return []
     told = []
-    for channel, name in _NAMES.items():
+    for channel, name in CHANNEL_NAMES.items():
         seen = model.train.total.get(channel)
         if seen is None or seen.chi2 is None or seen.chi2 < _MISSED**2:
             continue
@@ -509,7 +509,7 @@ def _worse_unseen(model: 'FittedModel', held_out: Sequence[TrialAnalysis]) -> li
     if model.train is None or model.held_out is None:
         return []
     told = _another_object(model)
-    for channel, name in _NAMES.items():
+    for channel, name in CHANNEL_NAMES.items():
         seen, left_out = model.train.total.get(channel), model.held_out.total.get(channel)
         if seen is None or left_out is None or seen.chi2 is None or left_out.chi2 is None:
             continue
@@ -569,7 +569,7 @@ def _stands_out(model: 'FittedModel') -> list[str]:
     if model.train is None:
         return []
     told = []
-    for channel, name in _NAMES.items():
+    for channel, name in CHANNEL_NAMES.items():
         missed = {
             trial: one.chi2
             for (trial, of), one in model.train.by_trial.items()

@@ -14,7 +14,7 @@
 
 """The content of ``result.json``, schema ``hapticvision/result/1``."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any, Final
 
@@ -25,7 +25,6 @@ from hapticvision_ros.core.diagnosis.records import (
     Diagnosis,
     ErrorChange,
     ErrorChanges,
-    Goes,
     Leftover,
     Leftovers,
     Misfit,
@@ -237,13 +236,6 @@ def _residual(left: Leftovers, bags: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-_GOES: Final[Mapping[str, Callable[[Goes], float]]] = {
-    'correlation': lambda goes: goes.correlation,
-    'lag_s': lambda goes: goes.lag,
-    'p': lambda goes: goes.chance,
-}
-
-
 def _leftover(
     of: Leftover, channel: Channel, bag: str | None, phase: Phase | None
 ) -> dict[str, Any]:
@@ -257,12 +249,14 @@ def _leftover(
         'white_p': _number(of.white),
         'smooth_p': _number(of.smooth),
         'smooth_share': _number(of.share),
-        **{
-            f'{name}_{key}': None if goes is None else _number(value(goes))
-            for name, goes in (('depth', of.depth), ('speed', of.speed), ('order', of.order))
-            for key, value in _GOES.items()
-            if name != 'order' or key != 'lag_s'
-        },
+        'depth_correlation': None if of.depth is None else _number(of.depth.correlation),
+        'depth_lag_s': None if of.depth is None else _number(of.depth.lag),
+        'depth_p': None if of.depth is None else _number(of.depth.chance),
+        'speed_correlation': None if of.speed is None else _number(of.speed.correlation),
+        'speed_lag_s': None if of.speed is None else _number(of.speed.lag),
+        'speed_p': None if of.speed is None else _number(of.speed.chance),
+        'order_correlation': None if of.order is None else _number(of.order.correlation),
+        'order_p': None if of.order is None else _number(of.order.chance),
     }
 
 

@@ -15,9 +15,12 @@
 
 """Estimates as cells of a table: a number with its error and unit, or why there is none."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
+from hapticvision_ros.core.diagnosis.records import Channel, Phase
+from hapticvision_ros.core.fit.held_out import PHASES
 from hapticvision_ros.core.records import Estimate
 from hapticvision_ros.report.quantities import format_quantity, Unit
 
@@ -43,6 +46,36 @@ class Cell:
     text: str
     known: bool
     note: str = ''
+
+
+class Parts[T](Protocol):
+    """What is known of all samples, of each phase, and of each trial, by channel."""
+
+    @property
+    def total(self) -> Mapping[Channel, T]: ...
+
+    @property
+    def by_phase(self) -> Mapping[tuple[Channel, Phase], T]: ...
+
+    @property
+    def by_trial(self) -> Mapping[tuple[str, Channel], T]: ...
+
+
+def rows_of[T](
+    columns: Sequence[tuple[Parts[T], Channel]], trials: Iterable[str]
+) -> list[tuple[str, list[T | None]]]:
+    """Return the rows of a table with a cell for each column: all, the phases, the trials."""
+    rows: list[tuple[str, list[T | None]]] = [
+        ('All', [of.total.get(channel) for of, channel in columns])
+    ]
+    rows += [
+        (phase, [of.by_phase.get((channel, phase)) for of, channel in columns]) for phase in PHASES
+    ]
+    rows += [
+        (name, [of.by_trial.get((name, channel)) for of, channel in columns])
+        for name in dict.fromkeys(trials)
+    ]
+    return [row for row in rows if any(one is not None for one in row[1])]
 
 
 def cell(estimate: Estimate, unit: Unit) -> Cell:

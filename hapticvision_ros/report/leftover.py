@@ -16,12 +16,11 @@
 
 from typing import Final
 
-from hapticvision_ros.core.diagnosis.records import Channel, Goes, Leftover
-from hapticvision_ros.core.pipeline import CampaignAnalysis
+from hapticvision_ros.core.diagnosis.records import Goes, Leftover
+from hapticvision_ros.core.pipeline import CampaignAnalysis, CHANNEL_NAMES
 from hapticvision_ros.report.misses import ROUGH, short_name
 from hapticvision_ros.report.quantities import format_number, format_quantity, UnitSystem
 
-NAMES: Final[dict[Channel, str]] = {'force': 'force', 'height': 'displacement height'}
 _CHANCE: Final = 1e-3
 """Chance below which a residual is not taken for white, smooth parts or correlations for none."""
 _LOUD: Final = 1.1
@@ -64,7 +63,7 @@ def residual_sentences(campaign: CampaignAnalysis, units: UnitSystem) -> list[st
     if model.left is None:
         return []
     return [
-        _sentence(left, NAMES[channel], short_name(model), units)
+        _sentence(left, CHANNEL_NAMES[channel], short_name(model), units)
         for channel, left in model.left.total.items()
     ]
 

@@ -23,7 +23,12 @@ from hapticvision_ros.core.composition import BASE
 from hapticvision_ros.core.diagnosis.records import Channel, Misfit
 from hapticvision_ros.core.fit.campaign import TrialFit
 from hapticvision_ros.core.fit.held_out import are_repeats, labels, PHASES, residuals
-from hapticvision_ros.core.pipeline import CampaignAnalysis, FittedModel, TrialAnalysis
+from hapticvision_ros.core.pipeline import (
+    CampaignAnalysis,
+    CHANNEL_NAMES,
+    FittedModel,
+    TrialAnalysis,
+)
 from hapticvision_ros.core.records import FloatArray
 from hapticvision_ros.report.quantities import (
     Dimension,
@@ -193,11 +198,7 @@ def held_out_sentences(campaign: CampaignAnalysis, units: UnitSystem = SI_UNITS)
         how = 'On each speed and depth in turn, predicted from the others,'
     after = None if campaign.after is None else campaign.after.held_out
     sentences = []
-    channels: tuple[tuple[Channel, str], ...] = (
-        ('force', 'force'),
-        ('height', 'displacement height'),
-    )
-    for channel, what in channels:
+    for channel, what in CHANNEL_NAMES.items():
         if channel not in before.total:
             continue
         text = f'{how} the three-element model misses the {what} by '

@@ -231,12 +231,9 @@ def suggest(
                 f'show {of_cell[0]} by itself'
             )
     repeats = 1
-    if second is not None:
-        # Squares add up from one push to the next.
-        needed = (_CLEARLY / max(gain, _CLEARLY / _MOST_REPEATS)) ** 2
-        # So many that hardly tell the two apart are not asked for.
-        if gain * math.sqrt(_MOST_REPEATS) >= _HARDLY:
-            repeats = min(max(math.ceil(needed), 1), _MOST_REPEATS)
+    # Squares add up from one push to the next; so many that hardly tell are not asked for.
+    if second is not None and gain * math.sqrt(_MOST_REPEATS) >= _HARDLY:
+        repeats = min(math.ceil((_CLEARLY / gain) ** 2), _MOST_REPEATS)
     return NextTrial(best.push_speed, best.depth, best.hold_time, separates, gain, reason, repeats)
 
 

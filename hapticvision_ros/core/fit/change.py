@@ -22,7 +22,7 @@ difference is linear in the noise, whose level and correlation in time are known
 
 from collections.abc import Mapping, Sequence
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from hapticvision_ros.core.diagnosis.records import Channel, ErrorChange, ErrorChanges, Phase
 from hapticvision_ros.core.fit.campaign import pairs_of, Segmented, TrialFit
@@ -32,6 +32,9 @@ from hapticvision_ros.core.fit.noise_model import SensorNoise
 from hapticvision_ros.core.records import FloatArray, Segmentation
 import numpy as np
 from numpy.typing import NDArray
+
+_FINEST: Final = 4
+"""Places of a grid for each sample, at most."""
 
 
 class _Sums(NamedTuple):
@@ -66,11 +69,10 @@ class _Compared(NamedTuple):
         t, mine, its = np.intersect1d(measured.t, again.t, return_indices=True)
         before = (measured.value - fitted)[mine] / size
         after = (again.value - other)[its] / size
-        # Samples may come in bursts, of which there are a few to an interval then.
-        span = float(t[-1] - t[0]) if t.size > 1 else 1.0
-        interval = max(
-            float(np.median(np.diff(t))) if t.size > 1 else 1.0, span / (4 * t.size or 1)
-        )
+        interval = 1.0
+        if t.size > 1:
+            # Samples may come in bursts: the grid of a correlation is not to be as fine.
+            interval = max(float(np.median(np.diff(t))), float(t[-1] - t[0]) / (_FINEST * t.size))
         return cls(t, phases_at(t, phases), after - before, after + before, interval, size)
 
     def summed(self, inside: NDArray[np.bool_], sensor: SensorNoise) -> _Sums:

@@ -161,7 +161,7 @@ def sensor_noise(
     campaign : sequence of TrialAnalysis or (Trial, Segmentation)
         What it was fitted to.
     noise : Noise
-        Of a sample, which chi squared refers to: at most so large.
+        Of a sample, which chi squared refers to: what is louder is no noise alone.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def sensor_noise(
         if not records or not most or start.std <= 0.0:
             continue
         interval = records[0].interval
-        curves = [_curves(each, start) for each in records]
+        curves = [_curves(each, whitener(each.blocks, start)) for each in records]
         corners = sum(curve.corners for of in curves for curve in of)
         taken = sum(curve.squares for of in curves for curve in of)
         quiet = start
@@ -254,12 +254,11 @@ def lack_of_fit(
         sums += found
         for each in found:
             if each.curve is not None:
-                t, value, std = each.curve[2:5]
-                since = t - (record.begins[each.phase] or 0.0)
+                since = each.curve.t - (record.begins[each.phase] or 0.0)
+                value, std = each.curve.value, each.curve.std
                 curves.append(
                     SmoothCurve(record.label, record.channel, each.phase, since, value, std)
                 )
-
     return Leftovers(
         noise,
         _grouped(sums, lambda each: each.record.channel),
@@ -308,9 +307,8 @@ def _records(fit: Fit, campaign: Sequence[Segmented]) -> list[_Record]:
     return records
 
 
-def _curves(record: _Record, noise: SensorNoise) -> list[_Curve]:
+def _curves(record: _Record, white: Whitener) -> list[_Curve]:
     """Return the smooth curves over the phases from the touch on that have enough blocks."""
-    white = whitener(record.blocks, noise)
     residual = white(record.residual[np.newaxis])[0]
     found = []
     for index, phase in enumerate(PHASES[1:], start=1):
@@ -360,7 +358,7 @@ def _summed(record: _Record, noise: SensorNoise) -> list[_Sums]:
     inputs = _inputs(record)
     whitened = white(np.vstack((record.residual[np.newaxis], inputs.reshape(-1, record.t.size))))
     residual, tool = whitened[0], whitened[1:].reshape(inputs.shape)
-    curves = {curve.phase: curve for curve in _curves(record, noise)}
+    curves = {curve.phase: curve for curve in _curves(record, white)}
     found = []
     for index, phase in enumerate(PHASES):
         inside = (record.phase == index) & (record.blocks.count > 0.0)

@@ -17,9 +17,10 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hapticvision_ros.core.diagnosis.records import Channel, ErrorChange, Misfit, Misfits
-from hapticvision_ros.core.fit.held_out import are_repeats, labels, PHASES
+from hapticvision_ros.core.diagnosis.records import Channel, Misfit, Misfits
+from hapticvision_ros.core.fit.held_out import are_repeats, labels
 from hapticvision_ros.core.pipeline import CampaignAnalysis
+from hapticvision_ros.report.cells import rows_of
 from hapticvision_ros.report.misses import DIMENSIONS, ROUGH, short_name
 from hapticvision_ros.report.quantities import format_number, UnitSystem
 
@@ -46,21 +47,9 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     for channel, title in TITLES:
         if not any(channel in misfits.total for _, _, misfits in columns):
             continue
-        found: list[tuple[str, list[Misfit | None]]] = [
-            ('All', [misfits.total.get(channel) for _, _, misfits in columns])
-        ]
-        found += [
-            (phase, [misfits.by_phase.get((channel, phase)) for _, _, misfits in columns])
-            for phase in PHASES
-        ]
-        found += [
-            (name, [misfits.by_trial.get((name, channel)) for _, _, misfits in columns])
-            for name in dict.fromkeys(names)
-        ]
         rows = [
-            (name, [_cells(one, channel, units) for one in misfits])
-            for name, misfits in found
-            if any(one is not None for one in misfits)
+            (name, [_cells(one, channel, units) for one in found])
+            for name, found in rows_of([(misfits, channel) for *_, misfits in columns], names)
         ]
         tables.append((title, units[DIMENSIONS[channel]].symbol, rows))
     sides = [name for name, _, _ in columns]
@@ -82,22 +71,10 @@ def _changes(campaign: CampaignAnalysis) -> list[tuple[str, list[str]]]:
     if changes is None:
         return []
     against = campaign.trials if campaign.held_out_by == 'condition' else campaign.held_out
-    channels = [channel for channel, _ in TITLES]
-    found: list[tuple[str, list[ErrorChange | None]]] = [
-        ('All', [changes.total.get(channel) for channel in channels])
-    ]
-    found += [
-        (phase, [changes.by_phase.get((channel, phase)) for channel in channels])
-        for phase in PHASES
-    ]
-    found += [
-        (name, [changes.by_trial.get((name, channel)) for channel in channels])
-        for name in labels(against)
-    ]
+    columns = [(changes, channel) for channel, _ in TITLES]
     return [
         (name, ['' if one is None else format_number(one.chi2, one.std) for one in each])
-        for name, each in found
-        if any(one is not None for one in each)
+        for name, each in rows_of(columns, labels(against))
     ]
 
 

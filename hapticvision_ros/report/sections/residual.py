@@ -20,6 +20,7 @@ from typing import NamedTuple
 from hapticvision_ros.core.diagnosis.records import Channel, Goes, Leftover, Leftovers
 from hapticvision_ros.core.fit.held_out import labels, PHASES
 from hapticvision_ros.core.pipeline import CampaignAnalysis
+from hapticvision_ros.report.cells import rows_of
 from hapticvision_ros.report.figure import curves_svg, SmoothLine
 from hapticvision_ros.report.leftover import (
     goes,
@@ -50,21 +51,10 @@ def fill(campaign: CampaignAnalysis, units: UnitSystem) -> Mapping[str, object]:
     for channel, title in TITLES:
         if not any(channel in left.total for _, left in columns):
             continue
-        found: list[tuple[str, list[Leftover | None]]] = [
-            ('All', [left.total.get(channel) for _, left in columns])
-        ]
-        found += [
-            (phase, [left.by_phase.get((channel, phase)) for _, left in columns])
-            for phase in PHASES
-        ]
-        found += [
-            (name, [left.by_trial.get((name, channel)) for _, left in columns])
-            for name in labels(campaign.trials)
-        ]
+        mine = [(left, channel) for _, left in columns]
         rows = [
             (name, [_cells(one, units) for one in each])
-            for name, each in found
-            if any(one is not None for one in each)
+            for name, each in rows_of(mine, labels(campaign.trials))
         ]
         unit = units[DIMENSIONS[channel]]
         tables.append(

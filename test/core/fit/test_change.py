@@ -15,6 +15,7 @@
 """By how much the error changes on unseen trials, and how well that is known."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -88,6 +89,24 @@ def test_of_one_trial_the_error_is_what_the_noise_makes(
     assert np.mean([each[0].chi2 for each in found]) == pytest.approx(
         true, abs=0.2 * found[0][0].std
     )
+
+
+def test_samples_in_bursts_take_no_finer_a_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten within 9 us, every 40 ms: a grid of them would have 13 million places."""
+    sizes = []
+    count = np.bincount
+    monkeypatch.setattr(np, 'bincount', lambda *of: sizes.append(count(*of).size) or count(*of))
+    t = (np.arange(0.0, 12.0, 0.04)[:, np.newaxis] + 1e-6 * np.arange(10)).ravel()
+    sensors = {'force': SensorNoise(0.005, 0.02, 0.3)}
+    left, right = (
+        replace(
+            _beside(np.zeros(T.size), 0.0), force=Signal(t, np.zeros(t.size)), force_fitted=fit
+        )
+        for fit in (np.full(t.size, 0.01), np.zeros(t.size))
+    )
+    found = error_changes([left], [right], [_trial('a')], LEVEL, sensors).total['force']
+    assert found.samples == t.size and found.std > 0.0
+    assert max(sizes) <= 4 * t.size + 1
 
 
 def test_over_several_trials_it_is_that_over_these() -> None:
